@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 
@@ -39,6 +40,27 @@ LONGEST = 20_000
 """Frames, by definition, that are looked at for the up axis: some minutes, in which a body stands or sits."""
 
 
+class Claims(TypedDict, total=False):
+    """Unit (metres per unit) and up axis of a file, by who says so; None where nobody does.
+
+    Parameters
+    ----------
+    unit, up : given by the caller.
+    unit_in_file, up_in_file : of the file or its format, taken as they are.
+    declared_unit, declared_up : of the file, rejected where the body would have an impossible height or clearly stands
+        along another axis.
+    default_up : usual in the format, ``"y"`` if left out; None where it has none.
+    """
+
+    unit: float | str | None
+    up: str | None
+    unit_in_file: float | None
+    up_in_file: str | None
+    declared_unit: float | None
+    declared_up: str | None
+    default_up: str | None
+
+
 def settle_motion(
     path: str | os.PathLike[str],
     format_name: str,
@@ -47,18 +69,13 @@ def settle_motion(
     translations: FloatArray,
     clock: Clock | float,
     *,
-    unit: float | str | None,
-    up: str | None,
-    unit_in_file: float | None = None,
-    up_in_file: str | None = None,
-    declared_unit: float | None = None,
-    default_up: str | None = "y",
     rest_in_world: bool = True,
     most_frames: int = 0,
     layout: Any = None,
     values: FloatArray | None = None,
     notes: tuple[Message, ...] = (),
     damaged: str = "markers.damaged",
+    **claims: Unpack[Claims],
 ) -> Motion:
     """Build a motion in metres with Y up from the content of a file, after the checks of `dousa.formats.guard`.
 
@@ -69,92 +86,105 @@ def settle_motion(
     rotations : (T, J, 4) local unit quaternions.
     translations : (T, J, 3) local positions in the file's unit and axes, changed in place.
     clock : all that the file says of time; the rate in Hz where it says no more.
-    unit, up : given by the caller, or None.
-    unit_in_file, up_in_file : of the file or its format, or None.
-    declared_unit : of the file or its format, rejected if the body would have an impossible height.
-    default_up : usual in the format, if neither is there; None where it has none.
     rest_in_world : whether the rest pose stands in the axes of the file; else only the frames show the up axis.
     most_frames : looked at for the up axis where 16 leave a doubt.
     layout, values : of the format and the file, for the provenance.
     notes : for the user, on the reading of the file.
     damaged : code of the message about arrays that make no motion.
+    claims : see `Claims`.
 
     Raises
     ------
     MotionFileError : arrays that make no motion, such as infinite positions.
     """
-    known = {
-        "unit": unit_in_file if unit is None else parse_unit(unit),
-        "up": up_in_file if up is None else parse_up(up),
-        "declared_unit": declared_unit,
-        "default_up": default_up,
-    }
+    from dousa.motion.kinematics import forward_kinematics  # numba
+
     timeline = settle_clock(path, clock, len(rotations), rotations)
     rotations, translations = timeline.place(rotations), timeline.place(translations)
     values = None if values is None else timeline.place(values)
+
+    def place(frames: IndexArray | slice) -> FloatArray:
+        return freeze(forward_kinematics(skeleton.parents, rotations[frames], translations[frames])[0])
+
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # a damaged file may hold 1e300
             rest = _place_rest(skeleton) if rest_in_world else None
-            translations, frame, shift, found = _settle_places(
-                path, skeleton, rotations, translations, timeline.rate, rest, most_frames, known
-            )
-            doubts = check_body(skeleton.names, frame.body, skeleton.parents, translations)
+            count = min(len(rotations), 16)
+            some = np.arange(count) * (len(rotations) - 1) // max(count - 1, 1)
+            translations, emptied = keep_offsets(skeleton, translations, some)
+            positions = place(some)
+            translations, lost = settle_roots(path, skeleton, rotations, translations, positions)
+            positions = place(some) if lost else positions
+            flat = (Message("guard.flat_body"),) if is_flat(positions) else ()
+            roots = np.flatnonzero(skeleton.parents < 0)
+            frame, shift, provenance = _find_frame(
+                path, format_name, Trajectories(skeleton.names, positions, timeline.rate, skeleton.parents, rest),
+                translations[:, roots], (lambda: place(slice(0, most_frames))) if most_frames else None, claims,
+                (*timeline.join(notes), *emptied, *lost, *flat), translations,
+            )  # fmt: skip
+            if shift is not None:
+                translations = translations.copy()
+                translations[:, roots] -= shift
             settled = change_arrays(skeleton, rotations, translations, frame.unit, frame.rotation)
-            provenance = Provenance(
-                os.fspath(path),
-                format_name,
-                frame.unit,
-                "declared" if unit is None and unit_in_file is not None else frame.unit_source,
-                frame.up,
-                "declared" if up is None and up_in_file is not None else frame.up_source,
-                layout,
-                values,
-                () if values is None else (settled[0].offsets, *settled[1:]),
-                (*timeline.join(notes), *found, *doubts, *frame.notes),
-                _to_metres(shift, frame),
-            )
+            read = () if values is None else (settled[0].offsets, *settled[1:])
+            provenance = dataclasses.replace(provenance, layout=layout, values=values, read=read)
             return Motion(*settled, timeline.rate, provenance)
     except InvalidMotionError as error:
         raise MotionFileError(path, damaged, reason=error) from error
 
 
-def _settle_places(
+def _find_frame(
     path: str | os.PathLike[str],
-    skeleton: Skeleton,
-    rotations: FloatArray,
-    translations: FloatArray,
-    rate: float,
-    rest: FloatArray | None,
-    most_frames: int,
-    known: dict[str, Any],
-) -> tuple[FloatArray, ReferenceFrame, FloatArray | None, tuple[Message, ...]]:
-    """The translations without lost and far places, unit and axes, the shift, and notes; ``known`` of both."""
-    from dousa.motion.kinematics import forward_kinematics  # numba
+    format_name: str,
+    sample: Trajectories,
+    placed: FloatArray,
+    whole: Callable[[], FloatArray] | None,
+    claims: Claims,
+    notes: tuple[Message, ...],
+    translations: FloatArray | None = None,
+) -> tuple[ReferenceFrame, FloatArray | None, Provenance]:
+    """Unit and axes, how far to move a body that is far from the origin, and the provenance with all notes.
 
-    def place(frames: IndexArray | slice) -> Trajectories:
-        positions, _ = forward_kinematics(skeleton.parents, rotations[frames], translations[frames])
-        return Trajectories(skeleton.names, freeze(positions), rate, skeleton.parents, rest)
-
-    def infer(sample: Trajectories) -> ReferenceFrame:
-        whole = (lambda: place(slice(0, most_frames)).positions) if most_frames else None
-        return infer_reference_frame(sample, whole=whole, **known)
-
-    count = min(len(rotations), 16)
-    some = np.arange(count) * (len(rotations) - 1) // max(count - 1, 1)
-    translations, emptied = keep_offsets(skeleton, translations, some)
-    sample = place(some)
-    translations, lost = settle_roots(path, skeleton, rotations, translations, sample.positions)
-    sample = place(some) if lost else sample
-    frame, notes = infer(sample), (*emptied, *lost)
-    if is_flat(sample.positions):
-        notes += (Message("guard.flat_body"),)
-    roots = np.flatnonzero(skeleton.parents < 0)
-    shift = find_shift(translations[:, roots], frame.unit)
+    Parameters
+    ----------
+    path, format_name, notes : for the provenance.
+    sample : some frames, in the file's unit and axes.
+    placed : (T, K, 3) what is in the world of all frames: points, or the roots of a tree.
+    whole : returns the positions of all frames that are looked at where the sample leaves a doubt.
+    claims : of the file and the caller.
+    translations : (T, J, 3) local places of a tree.
+    """
+    unit, unit_in_file = claims.get("unit"), claims.get("unit_in_file")
+    up, up_in_file = claims.get("up"), claims.get("up_in_file")
+    known: dict[str, Any] = {
+        "unit": unit_in_file if unit is None else parse_unit(unit),
+        "up": up_in_file if up is None else parse_up(up),
+        "declared_unit": claims.get("declared_unit"),
+        "declared_up": claims.get("declared_up"),
+        "default_up": claims.get("default_up", "y"),
+    }
+    frame = infer_reference_frame(sample, whole=whole, **known)
+    shift = find_shift(placed, frame.unit)
+    moved = None
     if shift is not None:
-        translations = translations.copy()
-        translations[:, roots] -= shift
-        frame, notes = infer(place(some)), (*notes, note_shift(shift))
-    return translations, frame, shift, notes
+        near = (lambda: whole() - shift) if whole is not None else None
+        frame = infer_reference_frame(sample.replace(positions=sample.positions - shift), whole=near, **known)
+        moved, notes = tuple((frame.rotation @ shift * frame.unit).tolist()), (*notes, note_shift(shift))
+    doubts = check_body(sample.names, frame.body, sample.parents, translations)
+    return (
+        frame,
+        shift,
+        Provenance(
+            os.fspath(path),
+            format_name,
+            frame.unit,
+            "declared" if unit is None and unit_in_file is not None else frame.unit_source,
+            frame.up,
+            "declared" if up is None and up_in_file is not None else frame.up_source,
+            notes=(*notes, *doubts, *frame.notes),
+            shift=moved,
+        ),
+    )
 
 
 @lru_cache(maxsize=64)
@@ -293,13 +323,9 @@ def settle_trajectories(
     positions: FloatArray,
     clock: Clock | float,
     *,
-    unit: float | str | None,
-    up: str | None,
-    unit_in_file: float | None,
-    up_in_file: str | None,
-    default_up: str | None,
     keep_values: bool = False,
     notes: tuple[Message, ...] = (),
+    **claims: Unpack[Claims],
 ) -> Trajectories:
     """Build trajectories in metres with Y up from the content of a file, after the checks of `dousa.formats.guard`.
 
@@ -309,64 +335,29 @@ def settle_trajectories(
     names : (K,) of the points.
     positions : (T, K, 3) in the file's unit and axes, NaN where missing; the caller's no longer.
     clock : all that the file says of time; the rate in Hz where it says no more.
-    unit, up : given by the caller, or None.
-    unit_in_file, up_in_file : declared in the file, or None.
-    default_up : usual in the format, if neither is there.
     keep_values : keep the file's own numbers in the provenance.
     notes : for the user, on the reading of the file.
+    claims : see `Claims`.
 
     Raises
     ------
     MotionFileError : no points, no frames, positions that can be none or lie in a picture, an impossible frame rate.
     """
-    known_unit = None if unit is None else parse_unit(unit)
-    known_up = None if up is None else parse_up(up)
     timeline = settle_clock(path, clock, len(positions), positions)
     positions = timeline.place(positions)
     values = freeze(positions) if keep_values else None
     positions, lost = settle_positions(path, names, positions)
     if is_flat(positions):
         raise MotionFileError(path, "guard.flat")
-    notes = (*timeline.join(notes), *lost)
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # a damaged file may hold 1e300
-
-            def infer() -> ReferenceFrame:
-                return infer_reference_frame(
-                    Trajectories(names, freeze(thin(positions, min(10, len(positions)))), timeline.rate),
-                    unit=known_unit,
-                    up=known_up,
-                    declared_unit=unit_in_file,
-                    declared_up=up_in_file,
-                    default_up=default_up,
-                    whole=lambda: positions[:LONGEST],
-                )
-
-            frame = infer()
-            shift = find_shift(positions, frame.unit)
-            if shift is not None:
-                positions = positions - shift
-                frame, notes = infer(), (*notes, note_shift(shift))
-            placed = frame.place(positions)
-            provenance = Provenance(
-                os.fspath(path),
-                format_name,
-                frame.unit,
-                frame.unit_source,
-                frame.up,
-                frame.up_source,
-                values=values,
-                read=(placed,) if keep_values else (),
-                notes=(*notes, *check_body(names, frame.body), *frame.notes),
-                shift=_to_metres(shift, frame),
-            )
+            sample = Trajectories(names, freeze(thin(positions, min(10, len(positions)))), timeline.rate)
+            frame, shift, provenance = _find_frame(
+                path, format_name, sample, positions, lambda: positions[:LONGEST], claims,
+                (*timeline.join(notes), *lost),
+            )  # fmt: skip
+            placed = frame.place(positions if shift is None else positions - shift)
+            provenance = dataclasses.replace(provenance, values=values, read=(placed,) if keep_values else ())
             return Trajectories(names, placed, timeline.rate, provenance=provenance)
     except InvalidMotionError as error:
         raise MotionFileError(path, "markers.damaged", reason=error) from error
-
-
-def _to_metres(shift: FloatArray | None, frame: ReferenceFrame) -> tuple[float, float, float] | None:
-    if shift is None:
-        return None
-    x, y, z = (frame.rotation @ shift * frame.unit).tolist()
-    return x, y, z

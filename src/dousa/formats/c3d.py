@@ -363,18 +363,9 @@ def read_c3d(
     if any(note.values.get("key") == "POINT:SCALE" for note in notes if note.code == "c3d.header"):
         positions, notes = _choose_scale(sections, names, positions, unit_in_file, notes)
     return settle_trajectories(
-        path,
-        "c3d",
-        names,
-        positions,
-        clock,
-        unit=unit,
-        up=up,
-        unit_in_file=unit_in_file,
-        up_in_file=_up_axis(sections),
-        default_up=None,
-        notes=notes,
-    )
+        path, "c3d", names, positions, clock,
+        unit=unit, up=up, declared_unit=unit_in_file, declared_up=_up_axis(sections), default_up=None, notes=notes,
+    )  # fmt: skip
 
 
 def _read_segments(sections: Sections, data: bytes, *, unit: float | str | None, up: str | None) -> Motion:

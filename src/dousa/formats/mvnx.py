@@ -123,7 +123,7 @@ def read_mvnx(
     if "orientation" not in held:
         assert positions is not None
         return settle_trajectories(
-            path, "mvnx", names, positions, clock, unit=unit, up=up, unit_in_file=1.0, up_in_file="z", default_up="z",
+            path, "mvnx", names, positions, clock, unit=unit, up=up, declared_unit=1.0, declared_up="z", default_up="z",
             notes=(*notes, Message("mvnx.no_orientation")),
         )  # fmt: skip
     world = _read_values(path, taken, "orientation", len(names), 4)

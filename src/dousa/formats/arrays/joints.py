@@ -162,8 +162,7 @@ def name_joints(
         clock = dataclasses.replace(clock, rate=frame_rate, times=None)
     return settle_trajectories(
         path, format_name, names, points, clock,
-        unit=unit, up=up, unit_in_file=unit_in_file, up_in_file=None, default_up=layout.up if layout else None,
-        notes=notes,
+        unit=unit, up=up, declared_unit=unit_in_file, default_up=layout.up if layout else None, notes=notes,
     )  # fmt: skip
 
 

@@ -210,8 +210,7 @@ def _guard(path: str | os.PathLike[str], motion: Motion | Trajectories) -> Motio
         arrays = (motion.skeleton, motion.rotations, motion.translations)
         settled = settle_motion(path, "npz", *arrays, motion.frame_rate, unit=1.0, up="y")
     else:
-        known: dict[str, Any] = {"unit": 1.0, "up": "y", "unit_in_file": None, "up_in_file": None, "default_up": None}
-        settled = settle_trajectories(path, "npz", motion.names, motion.positions, motion.frame_rate, **known)
+        settled = settle_trajectories(path, "npz", motion.names, motion.positions, motion.frame_rate, unit=1.0, up="y")
         settled = dataclasses.replace(settled, parents=motion.parents, rest_positions=motion.rest_positions)
     found = settled.provenance
     notes = tuple(note for note in found.notes if note.code.startswith("guard.")) if found is not None else ()

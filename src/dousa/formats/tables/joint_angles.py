@@ -71,7 +71,7 @@ def read_angles(path: str | os.PathLike[str], *, unit: float | str | None, up: s
     ends = np.array([joint not in turns for joint in names])
     return settle_motion(
         path, "csv", Skeleton(names, np.array(parents), offsets, ends), rotations, translations,
-        Clock(None, values[:, 0], assumed=30.0), unit=unit, up=up, default_up="y", notes=notes,
+        Clock(None, values[:, 0], assumed=30.0), unit=unit, up=up, notes=notes,
     )  # fmt: skip
 
 

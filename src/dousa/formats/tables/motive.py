@@ -94,12 +94,12 @@ def read_motive(
     if not turning:
         return settle_trajectories(
             path, "motive", tuple(names), positions, clock,
-            unit=unit, up=up, unit_in_file=unit_in_file, up_in_file=None, default_up="y", notes=notes,
+            unit=unit, up=up, declared_unit=unit_in_file, notes=notes,
         )  # fmt: skip
     return settle_world(
         path, "motive", names, parents, _read_turns(table.fields, turns, len(names)), positions, clock,
         are_local=table.fields.get("coordinate space", "global").lower() == "local",
-        unit=unit, up=up, unit_in_file=unit_in_file, default_up="y", notes=notes,
+        unit=unit, up=up, unit_in_file=unit_in_file, notes=notes,
     )  # fmt: skip
 
 

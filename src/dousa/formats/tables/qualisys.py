@@ -70,7 +70,7 @@ def read_qualisys(
     points[~points.any(axis=2)] = np.nan  # by the definition of the format
     return settle_trajectories(
         path, "qualisys", tuple(names), points, clock,
-        unit=unit, up=up, unit_in_file=0.001, up_in_file=None, default_up="z",
+        unit=unit, up=up, declared_unit=0.001, default_up="z",
         notes=(*notes, *compare_points(read_number(fields.get("NO_OF_MARKERS")), len(names))),
     )  # fmt: skip
 
@@ -112,7 +112,7 @@ def _read_skeleton(
     if not parents:
         return settle_trajectories(
             path, "qualisys", tuple(names), positions, clock,
-            unit=unit, up=up, unit_in_file=0.001, up_in_file=None, default_up="z", notes=notes,
+            unit=unit, up=up, declared_unit=0.001, default_up="z", notes=notes,
         )  # fmt: skip
     return settle_world(
         path, "qualisys", names, parents, world, positions, clock,

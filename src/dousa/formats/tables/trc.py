@@ -43,19 +43,11 @@ def read_trc(path: str | os.PathLike[str], *, unit: float | str | None = None, u
     counted, values = rows.read((0, 1), range(2, width))
     del text, rows
     return settle_trajectories(
-        path,
-        "trc",
-        names,
-        values.reshape(len(values), -1, 3),
+        path, "trc", names, values.reshape(len(values), -1, 3),
         Clock(read_number(fields.get("datarate")), counted[:, 1], counted[:, 0], frames),
-        unit=unit,
-        up=up,
-        unit_in_file=declared_unit(fields.get("units", "")),
-        up_in_file=None,
-        default_up="y",
-        keep_values=True,
+        unit=unit, up=up, declared_unit=declared_unit(fields.get("units", "")), keep_values=True,
         notes=(*notes, *compare_points(read_number(fields.get("nummarkers")), len(names))),
-    )
+    )  # fmt: skip
 
 
 def _with_tabs(lines: list[str]) -> tuple[list[str], str]:
