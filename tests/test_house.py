@@ -18,7 +18,7 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_972, 115),
+    "app": (25_985, 115),
     "estimation": (16_449, 69),
     "evaluation": (12_167, 46),
     "experiments": (1_715, 10),
@@ -31,7 +31,7 @@ ROOMS = {
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 62_773,
+    "lines of tests": 62_806,
     "lines of JavaScript": 12_544,
     "constants": 1_064,
     "numeric constants without a source": 4,

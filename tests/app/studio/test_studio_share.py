@@ -1,6 +1,7 @@
 """What others on the network reach, asked as somebody who wants more than they are shown."""
 
 import http.client
+import os
 import re
 import socket
 import ssl
@@ -261,6 +262,23 @@ def test_one_films_into_an_inbox_of_ones_own_and_sees_nothing_else(studio, visit
     assert [one["motion"] is None for one in seen["files"]] == [not name.endswith("bvh") for name in names]
     inbox_of(studio, visitor)
     assert visitor.client.get("/api/inbox").json()["files"] == []
+
+
+def test_an_inbox_that_is_emptied_goes_on(studio, visitor, monkeypatch):
+    inbox = inbox_of(studio, visitor)
+    monkeypatch.setattr(sharing_server, "_MOST_FILES", 1)
+    name = "動" * 60 + ".mp4"  # 184 bytes, with its number more than a name may have
+    assert send(visitor, name).status_code == 201
+    assert send(visitor).status_code == 413
+    studio.post("/api/uploads", params={"name": "cameras.toml", "batch": inbox}, content=b"a = 1")
+    (sent,) = visitor.client.get("/api/inbox").json()["files"]  # the owner's file beside it is not told
+    assert sent["name"].endswith("動.mp4")
+    workspace = studio.app.state.studio.workspace
+    os.utime(workspace.batch_folder(inbox), (0, 0))
+    assert workspace.list_unused("") == []
+    assert studio.delete(f"/api/uploads/{inbox}").status_code == 200
+    assert visitor.client.get("/api/inbox").json()["files"] == []
+    assert send(visitor).status_code == 201
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import shlex
 
 import pytest
 
+import dousa
 from app.studio.conftest import wait_for
 from app.studio.evaluation_cases import upload
 
@@ -96,6 +97,20 @@ def test_an_export(studio, answers_of, tmp_path):
     assert names[0] == names[1]
     # The Python finds what the command has written, and keeps it.
     assert len(command["written"]) == len(python.kept) + len(python.written) == 3
+
+
+def test_an_evaluation_of_clips_is_of_what_the_library_holds(studio, answers_of, bvh, tmp_path):
+    motion = dousa.read_motion(bvh)
+    own = tmp_path / "own.bvh"
+    dousa.write_motion(motion.replace(rotations=motion.rotations[3:], translations=motion.translations[3:]), own)
+    studio.app.state.studio.library.add([own], category_from="none")
+    clip = studio.get("/api/clips", params={"text": "own"}).json()["items"][0]["motion"]
+    request = {"references": [{"motion": "clip:1"}], "performance": {"motion": clip}, "side": "same"}
+    job = wait_for(studio, studio.post("/api/jobs/evaluate", json=request).json()["id"])
+    own.write_bytes(next(bvh.parents[1].glob("walk/*.bvh")).read_bytes())  # edited meanwhile
+    command, python, _ = answers_of(f"/api/spelling/evaluations/{job['id']}")
+    assert command["score"] == pytest.approx(job["result"]["score"], abs=0.06)
+    assert python.score == pytest.approx(job["result"]["score"], abs=0.06)
 
 
 def test_an_evaluation_with_its_figures_and_weights(studio, answers_of, trained_library):

@@ -3,17 +3,15 @@
 It is not the studio with restrictions: what it cannot do does not exist in it. It listens at one address of this
 machine, over TLS, with a limited number of connections, so that the studio itself never waits. The owner's token is not
 accepted, only links, GET and HEAD, and no bodies; but for the links with an inbox, which shows what came by that link
-and nothing else, and takes films and motion files of limited size and number. Nothing of them is opened here.
+and nothing else, and takes films and motion files of limited size and number. Only how they begin is looked at here.
 """
 
 from __future__ import annotations
 
 import asyncio
-import secrets
 import socket
 import ssl
 import threading
-import time
 import weakref
 from collections.abc import Callable, Coroutine
 from dataclasses import replace
@@ -30,7 +28,7 @@ from starlette.types import ASGIApp, Receive, Scope
 
 from dousa.app.studio import pages
 from dousa.app.studio.api import evaluation, motions
-from dousa.app.studio.api.share import describe_inbox
+from dousa.app.studio.api.share import describe_inbox, name_sent
 from dousa.app.studio.content.clips import ClipQuery
 from dousa.app.studio.content.evaluations import Language
 from dousa.app.studio.content.sharing import (
@@ -232,14 +230,13 @@ def _list_sent(studio: Studio, inbox: str) -> dict[str, Any]:
 async def send(
     request: Request, studio: StudioNow, inbox: _Inbox, name: Annotated[str, Query(max_length=200)]
 ) -> Answer:
-    """Keep one film or motion file; phones call all films alike, so each gets a number of its own."""
-    place = Path("/".join(safe_parts(name)))
-    if place.suffix.lower() not in _TAKEN:
+    """Keep one film or motion file."""
+    called = name_sent(safe_parts(name)[-1])
+    if Path(called).suffix.lower() not in _TAKEN:
         raise RefusedError(415, "studio_share.other_kind", kinds=tuple(sorted(_TAKEN)))
     if not _sending.acquire(blocking=False):
         raise RefusedError(429, "studio_jobs.busy_files")
     limits = replace(studio.settings, most_files=_MOST_FILES, most_unpacked_bytes=_MOST_BYTES)
-    called = f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(2)}-{place.name[-150:]}"
     try:
         async with asyncio.timeout(_PATIENCE_S):
             await receive(request.stream(), called, inbox, studio.workspace, limits, studio.reader.run)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+import secrets
+import time
 from contextlib import suppress
 from typing import Annotated, Any
 
@@ -99,6 +102,15 @@ def _describe(studio: Studio) -> Answer:
     )
 
 
+_SENT = re.compile(r"\d{8}-\d{6}-[0-9a-f]{4}-")
+
+
+def name_sent(name: str) -> str:
+    """Name a file that is sent: phones call all films alike, and the owner may put files of other names beside it."""
+    end = name.encode()[-150:].decode(errors="ignore")  # bytes, of names of 200
+    return f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(2)}-{end}"
+
+
 def describe_inbox(studio: Studio, batch: str) -> dict[str, Any]:
     """Describe what came into an inbox; nothing of it is opened."""
     files = [
@@ -108,6 +120,7 @@ def describe_inbox(studio: Studio, batch: str) -> dict[str, Any]:
             "motion": None if is_film(path.name) else str(Address(batch=batch, name=path.name)),
         }
         for path in studio.workspace.files(batch)
+        if _SENT.match(path.name)
     ]
     return {"batch": batch, "files": files}
 

@@ -1,7 +1,7 @@
 """What is asked on a page, as a command for a terminal and as Python: one place makes both from the request.
 
 Options have the names and defaults of the request classes, which the command line has too. A motion that no file holds
-as it is meant (a part, a file that was read in another unit, a clip whose file is gone) is written into a file first.
+as it is meant (a part, a clip of the library, a file that is read in another unit) is written into a file first.
 """
 
 from __future__ import annotations
@@ -107,12 +107,12 @@ def spell_evaluation(studio: Studio, job_id: str) -> Spelling:
 
 def _spell_assessment(files: Sequence[Path], side: str, given: Mapping[str, Any]) -> str:
     function = "assess_repetitions" if given["repetitions"] else "assess"
-    names = [function, *(reader for one, reader in _READERS.items() if one in given)]
-    options = [f"side={side!r}", f"tempo={given['tempo']!r}"]
+    names, options = [function], [f"side={side!r}", f"tempo={given['tempo']!r}"]
     if "furi" in given:
-        file = str(given["furi"])
-        options.append(f"furi=read_furi({file!r}, takes[0].frame_rate, takes[0].n_frames)")
+        names.append("read_furi")
+        options.append(f"furi=read_furi({str(given['furi'])!r}, takes[0].frame_rate, takes[0].n_frames)")
     if "weights" in given:
+        names.append("read_weights")
         options.append(f"weights=read_weights({str(given['weights'])!r})")
     lines = [
         "import dousa",
@@ -124,9 +124,6 @@ def _spell_assessment(files: Sequence[Path], side: str, given: Mapping[str, Any]
         "print(result)",
     ]
     return "\n".join(lines) + "\n"
-
-
-_READERS = {"furi": "read_furi", "weights": "read_weights"}
 
 
 def _use_library(studio: Studio, line: str) -> str:
@@ -170,9 +167,8 @@ def _name(studio: Studio, ref: MotionRef) -> int | str:
 
 def _file(studio: Studio, ref: MotionRef) -> Path:
     """Return a file that holds a motion as it is meant, made where there is none."""
-    path = studio.motions.path(ref)
-    if ref.is_whole and path.is_file() and not (ref.unit or ref.up or ref.joint_map):
-        return path
+    if ref.is_whole and ref.address.clip is None and not (ref.unit or ref.up or ref.joint_map):
+        return studio.motions.path(ref)
     from dousa.formats.registry import write_motion
     from dousa.motion import CANONICAL_JOINTS, Trajectories
 

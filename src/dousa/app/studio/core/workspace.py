@@ -358,10 +358,17 @@ class Workspace:
         return folder
 
     def discard(self, batch: str) -> None:
-        """Delete a batch that is not used."""
+        """Delete a batch that is not used; an inbox is emptied, as its link goes on taking films."""
         folder = self.batch_folder(batch)
-        if not (folder / _KEPT).exists():
+        if (folder / _KEPT).exists():
+            return
+        if not (folder / _INBOX).exists():
             shutil.rmtree(folder, ignore_errors=True)
+            return
+        for path in self.files(batch):
+            path.unlink(missing_ok=True)
+        with self._counting:
+            self._sizes.pop(batch, None)
 
     def job_folder(self, job: str) -> Path:
         """Return the folder of a job, whether it exists or not."""
@@ -370,7 +377,7 @@ class Workspace:
         return self.root / "jobs" / job
 
     def list_unused(self, mentioned: str) -> list[Path]:
-        """List batches that nothing uses and that are older than an hour.
+        """List batches that nothing uses and that are older than an hour, but for inboxes, which links lead to.
 
         Parameters
         ----------
@@ -380,7 +387,7 @@ class Workspace:
             folder
             for folder, age, used in self._list_batches(mentioned)
             # s after which a batch may be cleared away by hand
-            if age > 3600.0 and (used is None or used == _OF_LIBRARY)
+            if age > 3600.0 and (used is None or used == _OF_LIBRARY) and not (folder / _INBOX).exists()
         ]
 
     def list_outlived(self, mentioned: str) -> dict[Path, float]:

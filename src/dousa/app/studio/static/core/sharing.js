@@ -17,7 +17,7 @@ async function fill(place, report, found = null, inbox = null) {
   const state = found ?? (await get("/share"));
   showState(Boolean(state.address));
   if (!state.possible) {
-    place.replaceChildren(h("p", {}, t("share_how")), h("p", {}, h("code", {}, "dousa studio LIB --share")), h("p", { class: "note" }, t("share_how_more")));
+    place.replaceChildren(h("p", {}, t("share_how")), h("p", {}, h("code", {}, "dousa studio LIB --share")), h("p", { class: "note" }, t("share_how_more")), ...inboxTable(place, report, state.inboxes));
     return;
   }
   if (!state.address) {
