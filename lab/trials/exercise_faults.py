@@ -23,10 +23,10 @@ import numpy as np
 from dousa.evaluation import ANGLES, Fault, assess, compute_joint_angles, compute_postures
 from dousa.evaluation.errors.faults import (
     DescribedRepetition,
+    compare_all,
     describe_repetition,
     drop_side,
     find_faults,
-    measure_differences,
 )
 from dousa.evaluation.exercises.split import find_reference_repetitions
 from dousa.evaluation.grade.assessment import SHORTEST_S
@@ -112,7 +112,7 @@ def measure_tolerances(seen: Sequence[Seen], left_out: int, draws: int) -> dict[
     for one in seen:
         for draw in range(draws if one.correct and one.person != left_out else 0):
             others = [other.repetition for other in draw_others(seen, one, 3, draw)]
-            differences = measure_differences(one.repetition, others)
+            differences = compare_all(one.repetition, others)[2].max(axis=0)
             for name, degrees in zip(ANGLES, differences.tolist(), strict=True):
                 found[drop_side(name)].append(degrees)
     return {name: float(np.quantile(values, 0.9)) + 2.0 for name, values in found.items()}

@@ -231,7 +231,7 @@ def find_faults(
     grade : of the repetition; nan for none.
     judged : (9,) segments whose joints are looked at; None for all.
     """
-    usual, theirs, lasting = _compare_all(one, references)
+    usual, theirs, lasting = compare_all(one, references)
     moments, sizes = lasting.argmax(axis=0), lasting.max(axis=0)
     people = 1.0 + (_ONE_REFERENCE - 1.0) * max(3 - n_people, 0) / 2.0
     limits = np.array([tolerances[drop_side(name)] for name in ANGLES])
@@ -270,16 +270,11 @@ def _find_span(sizes: FloatArray, at: int) -> tuple[int, int]:
     return int(small[small < at].max(initial=-1)) + 1, int(small[small > at].min(initial=len(sizes)))
 
 
-def measure_differences(one: DescribedRepetition, references: Sequence[DescribedRepetition]) -> FloatArray:
-    """(17,) degrees by which each of `ANGLES` is, for a while, further off than in a quarter of the references."""
-    return np.asarray(_compare_all(one, references)[2].max(axis=0))
-
-
-def _compare_all(
+def compare_all(
     one: DescribedRepetition, references: Sequence[DescribedRepetition]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(U, 17) degrees each: the usual difference, the references' way from their own posture; the lasting difference,
-    of which there are fewer frames."""
+    """(U, 17) degrees each, of `ANGLES`: the usual difference, the references' way from their own posture; and (fewer
+    frames) the lasting difference, at least as large from three quarters of the references."""
     apart, theirs = (
         np.stack(some) for some in zip(*(_compare(one, reference) for reference in references), strict=True)
     )
