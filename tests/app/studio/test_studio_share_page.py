@@ -121,7 +121,7 @@ def test_a_phone_films_and_the_teacher_finds_it(browser, sharing, running, show,
     assert page.run("return document.querySelector('#inboxes a').href").endswith(f"/estimate?batch={link.inbox}")
     page.find("[data-act=share_discard]").click()
     page.wait("return !document.querySelector('#inboxes')")
-    assert inner.workspace.list_inboxes() == []
+    assert inner.workspace.files(link.inbox) == []
 
 
 def test_a_teacher_gets_the_code_takes_it_back_and_ends_it(show, sharing, job):
