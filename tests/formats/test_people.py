@@ -1,6 +1,7 @@
 """Several people, or several animations, in one file: one is taken and the others named, in every format."""
 
 import dataclasses
+import pickle
 
 import numpy as np
 import pytest
@@ -12,6 +13,14 @@ from dousa.motion import Motion, Skeleton, Trajectories, canonicalise, compute_t
 from dousa.motion.canonical.naming import group_owners
 from formats import made_people as made
 
+
+def write_two_pickled(path):
+    names = made.write_points(path.with_suffix(".npz"), ":")
+    with np.load(path.with_suffix(".npz")) as arrays:
+        write_pickle(Trajectories(tuple(map(str, arrays["names"])), arrays["positions"], 30.0), path)
+    return names
+
+
 WRITERS = {
     "bvh": ("x.bvh", made.write_bvh),
     "bvh, equal names": ("x.bvh", made.write_equal_names),
@@ -19,6 +28,7 @@ WRITERS = {
     "c3d, underscores": ("x.c3d", lambda path: made.write_points(path, "_")),
     "trc": ("x.trc", lambda path: made.write_points(path, ":")),
     "npz": ("x.npz", lambda path: made.write_points(path, ":")),
+    "pkl": ("x.pkl", write_two_pickled),
     "motive": ("x.csv", made.write_motive),
     "mvnx": ("x.mvnx", made.write_mvnx),
     "glb": ("x.glb", made.write_glb),
@@ -62,6 +72,10 @@ def write_titles(motion, path):
     path.write_text("\n".join(",".join(map(str, row)) for row in (titles, *rows.tolist())))
 
 
+def write_pickle(motion, path):
+    path.write_bytes(pickle.dumps({"joints": motion.positions, "joint_names": list(motion.names), "fps": 30}))
+
+
 def write_qualisys(motion, path):
     """Markers in mm, Z up."""
     points = (1000 * motion.positions[..., [0, 2, 1]] * (1, -1, 1)).reshape(motion.n_frames, -1)
@@ -70,7 +84,7 @@ def write_qualisys(motion, path):
 
 
 @pytest.mark.parametrize("mark", [":", "_"])
-@pytest.mark.parametrize("form", ["trc", "c3d", "npz", "csv", "bones", "titles", "tsv", "bvh"])
+@pytest.mark.parametrize("form", ["trc", "c3d", "npz", "csv", "bones", "titles", "tsv", "bvh", "pkl"])
 def test_the_owner_of_all_names_is_the_person(tmp_path, form, mark):
     """Names stay as they are, and are mapped as those without an owner."""
     path = tmp_path / f"x.{ {'titles': 'csv', 'bones': 'csv'}.get(form, form) }"
@@ -79,7 +93,7 @@ def test_the_owner_of_all_names_is_the_person(tmp_path, form, mark):
     )
     motion = dataclasses.replace(made.BEN, skeleton=skeleton)
     points = compute_trajectories(motion)
-    write = {"titles": write_titles, "tsv": write_qualisys}.get(form, write_motion)
+    write = {"titles": write_titles, "tsv": write_qualisys, "pkl": write_pickle}.get(form, write_motion)
     write(motion if form in ("bvh", "bones") else points, path)
     for asked in (None, "Ben", "1"):
         found = read_motion(path, person=asked)

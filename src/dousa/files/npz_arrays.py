@@ -18,7 +18,7 @@ import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import IO, Any
+from typing import IO, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,11 +77,11 @@ def open_npz(source: str | os.PathLike[str] | bytes, fail: Fail) -> Iterator[Npz
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """Head of an array, whose size agrees with the member's.
+    """Head of an array.
 
     Parameters
     ----------
-    dtype, shape : of the array.
+    dtype, shape : of the array; a dtype of no bytes stands for one that numpy does not know.
     n_packed : bytes of the data in the file, perhaps compressed.
     order : ``"F"`` where the first axis runs fastest, else ``"C"``.
     n_bytes : of the data.
@@ -89,9 +89,36 @@ class Header:
 
     dtype: np.dtype[Any]
     shape: tuple[int, ...]
-    order: str
+    order: Literal["C", "F"]
     n_bytes: int
     n_packed: int = 0
+
+    def shape_data(self, flat: NDArray[Any]) -> NDArray[Any]:
+        """Give the numbers behind a head its shape."""
+        return flat.reshape(self.shape, order=self.order)
+
+
+def read_head(stream: IO[bytes], most: int = 10_000) -> bytes | None:
+    """Read the head of an array, at most so many bytes of it; None if it is none of numpy."""
+    head = stream.read(10)
+    if len(head) < 10 or head[:6] != _MAGIC:
+        return None
+    if head[6] >= 2:
+        head += stream.read(2)
+    return head + stream.read(min(int.from_bytes(head[8:], "little"), most))
+
+
+def parse_head(head: bytes) -> Header | None:
+    """Parse the head of an array of numbers or texts; None for any other."""
+    found = _HEADER.fullmatch(head[12 if head[6] >= 2 else 10 :].decode("latin-1"))
+    if found is None:
+        return None
+    try:
+        dtype = np.dtype(found[1])
+    except (TypeError, ValueError, OverflowError):
+        dtype = np.dtype("V0")
+    shape = tuple(int(axis) for axis in found[3].replace(" ", "").split(",") if axis)
+    return Header(dtype, shape, "F" if found[2] == "True" else "C", math.prod(shape) * dtype.itemsize)
 
 
 class NpzFile:
@@ -143,28 +170,20 @@ class NpzFile:
             yield replace(header, n_packed=member.compress_size), stream
 
     def _read_header(self, name: str, stream: IO[bytes], size: int) -> Header:
-        head = stream.read(10)
-        if len(head) < 10 or head[:6] != _MAGIC:
+        head = read_head(stream)
+        if head is None:
             raise self._fail(Message("npz.no_numpy", array=name))
-        length = head[8:10] if head[6] < 2 else head[8:10] + stream.read(2)
-        start = 8 + len(length) + int.from_bytes(length, "little")
-        text = b"" if start > min(size, 10_000) else stream.read(start - 8 - len(length))
-        found = _HEADER.fullmatch(text.decode("latin-1"))
-        if found is None:
+        header = parse_head(head)
+        if header is None:
             raise self._fail(Message("npz.not_plain", array=name))
-        try:
-            dtype = np.dtype(found[1])
-        except (TypeError, ValueError, OverflowError):
-            dtype = np.dtype("V0")
-        if dtype.itemsize == 0:  # a thousand million empty texts would take no room in the file
-            raise self._fail(Message("npz.no_dtype", array=name, found=found[1]))
-        shape = tuple(int(axis) for axis in found[3].replace(" ", "").split(",") if axis)
-        n_bytes = math.prod(shape) * dtype.itemsize
-        if n_bytes != size - start or len(shape) > 8 or max(shape, default=0) > 2**40:
+        if header.dtype.itemsize == 0:  # a thousand million empty texts would take no room in the file
+            raise self._fail(Message("npz.no_dtype", array=name, found=head.split(b"'")[3].decode("latin-1")))
+        left, shape = size - len(head), header.shape
+        if header.n_bytes != left or len(shape) > 8 or max(shape, default=0) > 2**40:
             raise self._fail(
-                Message("npz.size", array=name, shape=str(shape), declared=str(n_bytes), found=str(size - start))
+                Message("npz.size", array=name, shape=str(shape), declared=str(header.n_bytes), found=str(left))
             )
-        return Header(dtype, shape, "F" if found[2] == "True" else "C", n_bytes)
+        return header
 
     def read_data(self, name: str, header: Header, stream: IO[bytes]) -> NDArray[Any]:
         """Read the array behind a head; read-only."""
@@ -177,8 +196,7 @@ class NpzFile:
             done += len(part)
         stream.read(1)  # lets zipfile compare the checksum
         whole.flags.writeable = False
-        flat = whole.view(header.dtype)
-        return flat.reshape(header.shape, order="F" if header.order == "F" else "C")
+        return header.shape_data(whole.view(header.dtype))
 
     def read(self, name: str, kinds: str, ndim: int | None = None, most: int = 64_000_000) -> NDArray[Any]:
         """Read an array; read-only.
@@ -208,11 +226,8 @@ class NpzFile:
         """Read the pickle in the place of an array of objects; None where the array has numbers or texts."""
         member = self._members[name]
         with self._archive.open(member) as stream:
-            head = stream.read(12)
-            length = head[8 : 10 if head[6:7] < b"\2" else 12]
-            start = 8 + len(length) + int.from_bytes(length, "little")
-            head += stream.read(max(0, min(start, 10_000) - len(head)))
-            if head[:6] != _MAGIC or b"'|O'" not in head:
+            head = read_head(stream)
+            if head is None or b"'|O'" not in head:
                 return None
             if member.file_size > self.most:
                 raise self._fail(Message("npz.large", array=name, most=self.most, found=member.file_size))

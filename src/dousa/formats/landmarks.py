@@ -30,8 +30,8 @@ from dousa.files.disk import read_bytes
 from dousa.files.frame_files import list_frame_files, natural_key, number_frames
 from dousa.files.json_arrays import parse_arrays
 from dousa.formats.arrays.bodies import gather_people, list_bodies
+from dousa.formats.arrays.content import build_content
 from dousa.formats.arrays.joints import BODY_OF, list_layouts, name_joints
-from dousa.formats.arrays.pickles import build_content
 from dousa.formats.guard import Clock, check_even, check_memory
 from dousa.formats.parts import choose
 from dousa.messages import Message
@@ -449,18 +449,18 @@ def _choose_person(
 ) -> tuple[list[Person | None], tuple[Message, ...]]:
     """One person (or None) for each frame: by their numbers; without numbers by the order in the frames."""
     frames = [[person for person in people if len(person.points)] for people in recording.frames]
-    counts = Counter(person.number for people in frames for person in people)
-    if not counts:
+    numbers = Counter(person.number for people in frames for person in people)
+    if not numbers:
         raise FormError("guard.flat" if any(recording.frames) else "landmarks.nobody")
-    most = max(map(len, frames))
     # A number that is another one in every frame counts frames, not people.
-    if None not in counts and (most > 1 or counts.most_common(1)[0][1] > 1):
-        ranked = [number for number, _ in counts.most_common()]
-        chosen, notes = choose(path, "person", [f"id {number}" for number in ranked], wanted)
-        number = ranked[chosen]
-        return [next((one for one in found if one.number == number), None) for found in frames], notes
-    place, notes = choose(path, "person", [str(number) for number in range(1, most + 1)], wanted)
-    return [found[place] if place < len(found) else None for found in frames], notes
+    numbered = None not in numbers and (max(map(len, frames)) > 1 or max(numbers.values()) > 1)
+    named: list[dict[str, Person]] = [{} for _ in frames]
+    for people, own in zip(frames, named, strict=True):
+        for place, one in enumerate(people, 1):
+            own.setdefault(f"id {one.number}" if numbered else str(place), one)
+    names = [name for name, _ in Counter(name for own in named for name in own).most_common()]
+    chosen, notes = choose(path, "person", names, wanted)
+    return [own.get(names[chosen]) for own in named], notes
 
 
 def _stack(path: str | os.PathLike[str], people: list[Person | None]) -> tuple[FloatArray, FloatArray]:

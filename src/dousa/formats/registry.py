@@ -44,7 +44,8 @@ class Format:
     writer : name of the function that writes a file, None if the format is only read.
     holds : ``"motion"``, ``"trajectories"`` or ``"both"``: possible content of a file of this format.
     options : of the reader besides ``unit`` and ``up``: ``"skeleton"``; ``"frame_rate"``, ``"person"`` and
-        ``"animation"`` where it has to choose. Rate and person of all others are settled on what they read.
+        ``"animation"`` where it has to choose. The rate of all others is settled on what they read, and so are people
+        among whom no reader has chosen.
     signs : pattern in the first bytes of such files, for suffixes that other programs use too; else None.
     character : name of the function that reads a file at rest, for formats whose files need no motion; else None.
     check : name of the function that decides by path and first bytes about files without the signs, if any.
@@ -326,8 +327,7 @@ def read_motion(
         **{name: value for name, value in given.items() if name in line.options},
     }
     motion = _run(path, line, options, frame_rate)
-    if "person" not in line.options:
-        motion = _take_person(motion, path, given.get("person"))
+    motion = _take_person(motion, path, given.get("person"))
     for kind in KINDS:
         if kind in given:
             check_chosen(path, kind, given[kind], motion.provenance.notes if motion.provenance else ())
@@ -363,9 +363,11 @@ def _run(path: str, line: Format, options: Mapping[str, Any], frame_rate: float 
 
 
 def _take_person(motion: Motion | Trajectories, path: str, wanted: str | None) -> Motion | Trajectories:
-    many = motion.skeleton.parents if isinstance(motion, Motion) else motion.parents
-    if wanted is None and many is not None and (many < 0).sum() == 1:
-        return motion  # a single tree
+    parents = motion.skeleton.parents if isinstance(motion, Motion) else motion.parents
+    is_single = parents is not None and (parents < 0).sum() == 1
+    notes = motion.provenance.notes if motion.provenance is not None else ()
+    if (wanted is None and is_single) or any(note.code.startswith("parts.person") for note in notes):
+        return motion  # the reader has chosen
     from dousa.formats.guard.people import take_person
 
     return take_person(motion, path, wanted)

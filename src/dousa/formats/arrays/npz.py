@@ -35,12 +35,9 @@ from numpy.typing import NDArray
 from dousa.errors import InvalidMotionError, MotionFileError, MotionWriteError
 from dousa.files.disk import atomic_write, read_bytes
 from dousa.files.npz_arrays import NpzFile, open_npz
-from dousa.files.pickles import load_pickle
-from dousa.formats.arrays.pickles import build_content
+from dousa.formats.arrays.content import read_arrays
 from dousa.formats.assembly import settle_motion, settle_trajectories
 from dousa.formats.guard import compare_bytes
-from dousa.formats.guard.people import take_person
-from dousa.formats.smpl_poses import are_poses, find_roles
 from dousa.messages import Message
 from dousa.motion import Motion, Provenance, Skeleton, Trajectories
 from dousa.motion.canonical.reference_frame import parse_unit, parse_up
@@ -160,14 +157,7 @@ def _list_arrays(motion: Motion | Trajectories) -> dict[str, NDArray[Any]]:
 
 
 def read_any_npz(
-    path: str | os.PathLike[str],
-    *,
-    unit: float | str | None = None,
-    up: str | None = None,
-    skeleton: str | os.PathLike[str] | None = None,
-    frame_rate: float | None = None,
-    person: str | None = None,
-    animation: str | None = None,
+    path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None, **options: Any
 ) -> Motion | Trajectories:
     """Read an npz file; its kind follows from its arrays.
 
@@ -176,26 +166,15 @@ def read_any_npz(
     path : a file that dousa wrote, or an archive of SMPL poses (AMASS), of joints (T, J, 3), or of pickled dictionaries
         of such; nothing in it is executed.
     unit, up : if not in the file; dousa's own has both.
-    skeleton : body model of SMPL poses.
-    frame_rate : Hz, of arrays without one.
-    person, animation : as for `read_arrays`.
+    options : of `read_arrays`, for files of others.
 
     Raises
     ------
     MotionFileError : missing, damaged, or none of these.
     """
     with open_npz(path, partial(MotionFileError, path)) as file:
-        behind = max(0, file.n_behind)
-        content = None if "format" in file or not file.names else _load(path, file)
-    options: dict[str, Any] = {"unit": unit, "up": up}
-    if content is None:
-        motion = _guard(path, read_npz(path, **options))
-    else:
-        options |= {"skeleton": skeleton, "frame_rate": frame_rate, "person": person, "animation": animation}
-        motion = build_content(path, content, **options)
-    notes = motion.provenance.notes if motion.provenance else ()
-    if not any(note.code.startswith("parts.person") for note in notes):
-        motion = take_person(motion, path, person)
+        behind, own = max(0, file.n_behind), "format" in file or not file.names
+    motion = _guard(path, read_npz(path, unit=unit, up=up)) if own else read_arrays(path, unit=unit, up=up, **options)
     if not behind:
         return motion
     source = motion.provenance or Provenance(os.fspath(path), "npz")
@@ -219,31 +198,3 @@ def _guard(path: str | os.PathLike[str], motion: Motion | Trajectories) -> Motio
     return dataclasses.replace(
         settled, provenance=dataclasses.replace(motion.provenance or found, notes=notes, shift=found.shift)
     )
-
-
-def _load(path: str | os.PathLike[str], file: NpzFile) -> dict[str, Any]:
-    """The arrays of numbers and texts, and the dictionaries in the place of one; other members are left out.
-
-    Of a body neither are meshes read, nor anything else that has three axes and no part in its poses.
-    """
-    roles = find_roles(file.names)
-    poses = set(roles.values()) if are_poses(roles) else None
-    content: dict[str, Any] = {}
-    refused: MotionFileError | None = None
-    for name in file.names:
-        pickled = file.read_pickled(name)
-        try:
-            if pickled is None:
-                with file.open(name) as (header, _):
-                    if poses is not None and name not in poses and len(header.shape) > 2:
-                        continue
-                content[name] = file.read(name, "iufU", most=file.most)
-            else:
-                content[name] = load_pickle(path, pickled)
-        except MotionFileError as error:
-            if error.code in ("npz.ends", "npz.size", "npz.large", "npz.damaged"):
-                raise
-            refused = error
-    if refused is not None and not content:
-        raise refused
-    return content

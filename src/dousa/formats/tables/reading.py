@@ -23,7 +23,6 @@ from dousa.files.disk import read_bytes
 from dousa.formats.arrays.joints import BODY_OF, list_layouts, name_joints
 from dousa.formats.assembly import declared_unit
 from dousa.formats.guard import Clock
-from dousa.formats.guard.people import take_person
 from dousa.formats.landmarks import note_hips, refuse_pictures
 from dousa.formats.parts import choose
 from dousa.formats.tables.cells import Rows, count_cells, decode, find_rows, is_number, list_lines, split_rows
@@ -82,12 +81,12 @@ def read_table(
     text = decode(read_bytes(path))
     for sign, read in ((r'\A\s*"?Format Version', read_motive), (r"^\s*NO_OF_FRAMES", read_qualisys)):
         if re.search(sign, text[:4096], re.MULTILINE | re.IGNORECASE):
-            return take_person(read(path, text, unit=unit, up=up), path, person)
+            return read(path, text, unit=unit, up=up)
     header = _find_titles(text)
     if header is None or not header.columns.points:
         raise MotionFileError(path, "guard.flat" if header else "tables.no_points")
     if is_of_angles(path):
-        return take_person(read_angles(path, unit=unit, up=up), path, person)
+        return read_angles(path, unit=unit, up=up)
     rows, notes = find_rows(path, text, header.body, header.mark, header.cells)
     odd = find_odd(header.columns)
     if odd:
@@ -96,8 +95,7 @@ def read_table(
     for kind, role, wanted in (("animation", "clips", animation), ("person", "people", person)):
         rows, more = _choose_rows(path, header, rows, kind, role, wanted)
         notes += more
-    motion = _build(path, header, rows, unit, up, frame_rate, notes)
-    return motion if "people" in header.columns.roles else take_person(motion, path, person)
+    return _build(path, header, rows, unit, up, frame_rate, notes)
 
 
 def is_table(path: str | os.PathLike[str], head: bytes) -> bool:

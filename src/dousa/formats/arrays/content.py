@@ -1,4 +1,4 @@
-"""Content of pickles and npy: SMPL bodies of several people, joint positions, features, samples of text-to-motion."""
+"""Content of arrays and pickles: SMPL bodies of several people, joints, features, samples of text-to-motion."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from dousa.arrays import FloatArray
 from dousa.errors import MotionFileError
 from dousa.files.frame_files import natural_key
-from dousa.files.pickles import load_pickle
 from dousa.formats.arrays.bodies import Body, as_array, list_bodies, name_people
 from dousa.formats.arrays.features import FEATURES, MOTION_X, recover_joints
 from dousa.formats.arrays.joints import build_joints, find_joints, is_joint_array, list_layouts, measure_unevenness
-from dousa.formats.arrays.npy import load_npy
+from dousa.formats.arrays.loading import load_content, name_kind
 from dousa.formats.parts import choose, distinguish, load_once
 from dousa.formats.smpl import AIST_RATE, build_smpl, mean_body, read_rate
 from dousa.formats.smpl_poses import JOINTS_OF, are_poses, as_turns, find_roles, rank_place
@@ -53,13 +52,9 @@ def read_arrays(
         person.
     """
     return build_content(
-        path, load_once(_load, path, person or animation), unit=unit, up=up, skeleton=skeleton,
+        path, load_once(load_content, path, person or animation), unit=unit, up=up, skeleton=skeleton,
         frame_rate=frame_rate, person=person, animation=animation,
     )  # fmt: skip
-
-
-def _load(path: str | os.PathLike[str]) -> dict[Any, Any]:
-    return load_npy(path) if name_kind(path) == "npy" else load_pickle(path)
 
 
 def build_content(
@@ -78,7 +73,7 @@ def build_content(
     Parameters
     ----------
     path : for messages and provenance.
-    content : as `load_pickle` gives it.
+    content : as `load_content` gives it.
     unit, up, skeleton, frame_rate, person, animation : as for `read_arrays`.
     """
     arrays = {str(key): array for key, value in content.items() if (array := as_array(value)) is not None}
@@ -129,11 +124,6 @@ def _build_bare(
     if rows.ndim == 4 and is_joint_array(rows.shape[1:]):
         return _build_joints(path, {}, {"motion": rows}, person, animation, options)
     return build_joints(path, name_kind(path), array, **options)
-
-
-def name_kind(path: str | os.PathLike[str]) -> str:
-    """Return the name of a format of arrays: the suffix."""
-    return os.path.splitext(os.fspath(path))[1].lower().lstrip(".")
 
 
 def _read_turns(array: NDArray[Any], uneven: float = 0.8) -> FloatArray | None:
