@@ -240,3 +240,7 @@ def test_an_array_for_each_frame(tmp_path):
         np.testing.assert_allclose(found.positions, joints, atol=1e-12)
         assert "arrays.frames" in codes(found)
     refused(tmp_path / "x.pkl", pickle.dumps([[1, 2], [3]]), "pickles.no_dictionary")
+    hands = {"left_hand": joints[0], "right_hand": joints[1]}
+    refused(tmp_path / "x.pkl", pickle.dumps(hands), "pickles.no_motion")
+    refused(tmp_path / "x.npy", made.make_npy(joints[:0]), "markers.damaged")
+    refused(tmp_path / "x.npy", made.make_npy(np.float64(1)), "arrays.shape")

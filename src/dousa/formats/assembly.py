@@ -351,7 +351,8 @@ def settle_trajectories(
         raise MotionFileError(path, "guard.flat")
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # a damaged file may hold 1e300
-            sample = Trajectories(names, freeze(thin(positions, min(10, len(positions)))), timeline.rate)
+            some = thin(positions, 10) if len(positions) > 10 else positions
+            sample = Trajectories(names, freeze(some), timeline.rate)
             frame, shift, provenance = _find_frame(
                 path, format_name, sample, positions, lambda: positions[:LONGEST], claims,
                 (*timeline.join(notes), *lost),

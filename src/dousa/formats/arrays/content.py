@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -194,15 +195,17 @@ def _refuse_pictures(path: str | os.PathLike[str], array: NDArray[Any], far: flo
 
     ``far`` : of x or y, of which none is below 0: no data set in metres has such places, and every picture.
     """
+    if array.ndim < 3 or not array.size:
+        return
     low, high = (reduce(array[..., :2], axis=None) for reduce in (np.fmin.reduce, np.fmax.reduce))
-    if array.ndim > 2 and (array.shape[-1] == 2 or (array.ndim == 4 and low >= 0 and high > far)):
+    if array.shape[-1] == 2 or (array.ndim == 4 and low >= 0 and high > far):
         raise MotionFileError(path, "guard.flat")
 
 
 def _gather_frames(arrays: Mapping[str, NDArray[Any]]) -> NDArray[Any] | None:
-    """Places (T, J, 3) of arrays (J, 3) of one frame each, in the order of the numbers in their names; else None."""
-    shapes = {array.shape for array in arrays.values()}
-    if len(arrays) < 2 or len(shapes) > 1 or not is_joint_array((2, *shapes.pop())):
+    """Places (T, J, 3) of arrays (J, 3) of one frame each, whose names differ in their numbers only; else None."""
+    shapes, names = {array.shape for array in arrays.values()}, {re.sub(r"\d+", "", name) for name in arrays}
+    if len(arrays) < 2 or len(shapes) > 1 or len(names) > 1 or not is_joint_array((2, *shapes.pop())):
         return None
     return np.stack([arrays[name] for name in sorted(arrays, key=natural_key)])
 
