@@ -96,6 +96,11 @@ PROGRAMS = {
 }
 
 
+def at_night(first, *others):
+    """One case with every run, the others nightly."""
+    return [first, *(pytest.param(other, marks=pytest.mark.slow) for other in others)]
+
+
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
     """The views of two cameras, and a calibration."""
@@ -118,14 +123,14 @@ def written(scene, tmp_path_factory):
     return write
 
 
-@pytest.mark.parametrize("program", PROGRAMS)
+@pytest.mark.parametrize("program", at_night(*PROGRAMS))
 def test_times_of_every_programs_keypoints(dousa, scene, written, program):
     code, out, error = dousa("sync", *written(program), "--calibration", scene[0], "--rate", RATE, "--json")
     assert code == 0, error
     assert json.loads(out)["films"][1]["offset"] == pytest.approx(BEGINS[1] - BEGINS[0], abs=0.02)
 
 
-@pytest.mark.parametrize("program", ["openpose", "mmpose", "deeplabcut"])
+@pytest.mark.parametrize("program", at_night("mmpose", "openpose", "deeplabcut"))
 def test_a_motion_of_every_programs_keypoints(dousa, scene, written, program, tmp_path):
     code, out, error = dousa(
         "estimate", *written(program), "--cameras", scene[0], "--rate", RATE, "-o", tmp_path / "out.bvh", "--json"

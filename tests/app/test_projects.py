@@ -137,7 +137,7 @@ def test_a_project_is_estimated_from_its_keypoints(dousa, tmp_path, given):
     assert not json.loads(out)["lost_frames"] and np.isfinite(read_motion(tmp_path / "out.trc").positions).all()
 
 
-@pytest.mark.parametrize("columns", [2, 3])
+@pytest.mark.parametrize("columns", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_the_points_of_freemocap(dousa, tmp_path, columns):
     make_freemocap(tmp_path, make_cameras(2))
     path = tmp_path / "output_data/raw_data" / POINTS_2D

@@ -292,7 +292,7 @@ def test_contours_lie_on_the_body_and_their_slopes_are_its_movements(body, poses
     assert np.isnan(trace_contour(None, camera.size)).all()
 
 
-@pytest.mark.parametrize("views", [[0, 1, 2, 3], [0, 1]])
+@pytest.mark.parametrize("views", [pytest.param([0, 1, 2, 3], marks=pytest.mark.slow), [0, 1]])
 def test_silhouettes_put_right_what_keypoints_leave_open(body, poses, cameras, views):
     tracks, _ = film(body, poses, cameras, noise=10.0)
     cameras, tracks = [cameras[view] for view in views], [tracks[view] for view in views]
