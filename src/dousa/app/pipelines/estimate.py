@@ -77,12 +77,12 @@ class Estimation:
     def to_json(self) -> dict[str, Any]:
         """What ``dousa estimate --json`` prints."""
         answer = self.estimate.to_json()
-        keys = ("n_frames", "frame_rate", "iou", "lost_frames", "frames_per_second", "expected_error_m")
-        keys = (*keys, "depth_spread_m", "lengths_m")
+        keys = ("n_frames", "frame_rate", "iou", "lost_frames", "frames_per_second")
+        doubt = ("expected_error_m", "depth_spread_m", "lengths_m")
         trusted = ~self.estimate.lost
         uncertainty = self.estimate.uncertainty[trusted] if trusted.any() else self.estimate.uncertainty
         return {
-            **{key: answer[key] for key in keys},
+            **{key: answer[key] for key in (*keys, *doubt)},
             "views": list(self.views),
             "first_frame": self.first_frame,
             "body": str(self.body),
