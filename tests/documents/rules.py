@@ -120,6 +120,7 @@ BENCHMARKS = {
     "trials.label_review": "--draws 1",
     "trials.irds_grade": "--help",
     "trials.film_cameras": "--help",  # it needs the pose models
+    "trials.live_film": "--help",  # likewise
     "benchmarks.keypoints": "--help",  # it needs the pose models
     "trials.made_people": "--help",  # likewise, and a mesh
     "trials.crossings": "--help",  # likewise

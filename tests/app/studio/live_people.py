@@ -31,18 +31,17 @@ def replay(landmarks: FloatArray) -> Callable[[], Finder]:
     """``open_finder()`` of a network that would see them in turn, again and again, in the middle of any picture."""
 
     def open_finder() -> Finder:
-        n_seen = 0
+        n_seen, low = 0, landmarks.min(axis=(0, 1))
+        longest = (landmarks.max(axis=(0, 1)) - low).max()
 
         def find(picture: Image) -> Seen:
             nonlocal n_seen
             points = landmarks[n_seen % len(landmarks)]
             n_seen += 1
-            height, width = picture.shape[:2]
-            low, high = points.min(axis=0), points.max(axis=0)
-            share = 0.1 + 0.8 * (points - low) / (high - low).max()
+            height = len(picture)
+            share = 0.1 + 0.8 * (points - low) / longest
             places = np.stack([share[:, 0] * height, (1.0 - share[:, 1]) * height], axis=1)
             hips = points[[MEDIAPIPE_NAMES.index("left_hip"), MEDIAPIPE_NAMES.index("right_hip")]].mean(axis=0)
-            del width
             return Seen(places, np.full(len(points), 0.95), (points - hips) * (1.0, -1.0, -1.0))
 
         return find

@@ -1,7 +1,7 @@
 """Follow a person in front of the camera: pictures come in one by one; keypoints, a label and a grade go out.
 
-Everything is computed on this machine, and no picture is stored. The network estimates the depth of one person; the
-feet are put on the floor.
+Everything is computed on this machine, and no picture is stored. The network estimates the posture of one person, and
+the picture gives the place.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ import secrets
 import threading
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +18,7 @@ import numpy as np
 
 from dousa.app.studio.core.answers import RefusedError, name_error
 from dousa.arrays import FloatArray, Image
-from dousa.errors import DousaError, KeypointError
+from dousa.errors import DousaError
 from dousa.extras import require
 from dousa.messages import Message, get_language
 
@@ -58,17 +57,15 @@ def choose_model() -> LandmarkModel:
 
     Raises KeypointError if no model is installed, MissingExtraError without LiteRT or OpenCV.
     """
-    from dousa.estimation.keypoints.pose_models import DETECTOR, find_pose_model
+    from dousa.estimation.keypoints.pose_models import DETECTOR, check_pose_model, find_pose_model, get_pose_model
 
     require("cv2", "film")
     require("ai_edge_litert", "film")
     find_pose_model(DETECTOR)
-    for name in _MODELS:
-        with suppress(KeypointError):
-            find_pose_model(name)
-            return name
-    find_pose_model(_MODELS[0])  # raises, with the remedy
-    raise AssertionError
+    installed = (name for name in _MODELS if check_pose_model(get_pose_model(name)) == "installed")
+    chosen = next(installed, _MODELS[0])
+    find_pose_model(chosen)  # raises, with the remedy
+    return chosen
 
 
 def open_finder() -> Finder:
@@ -93,20 +90,25 @@ def open_finder() -> Finder:
     return find
 
 
-def to_canonical(world: FloatArray) -> FloatArray:
-    """Convert the landmarks (33, 3) of a picture to canonical joints (20, 3) on the floor, m.
+def to_canonical(seen: Seen, size: tuple[int, int]) -> FloatArray:
+    """Convert a person in a picture of ``size`` (width, height) px to canonical joints (20, 3), m, Y up.
 
+    The place across the line of sight, on which depend walking and jumping, is that in the picture, at the scale at
+    which the landmarks lie on it. Along it the scale says less than nothing (lab/notes/evaluation.md): it stays 0.
     Raises InvalidMotionError for landmarks that are not a person.
     """
     from dousa.estimation import MEDIAPIPE_NAMES
     from dousa.motion import Trajectories, canonicalise
 
-    upright = world[None] * (1.0, -1.0, -1.0)
-    found = canonicalise(Trajectories(MEDIAPIPE_NAMES, upright, 1.0))  # of one picture any rate will do
+    found = canonicalise(Trajectories(MEDIAPIPE_NAMES, seen.world[None] * (1.0, -1.0, -1.0), 1.0))  # any rate will do
     points = np.array(found.positions[0])
     if any(one.code == "canonical.mirrored" for one in found.warnings):  # one frame cannot tell
         points[:, 2] *= -1.0
-    points[:, 1] -= points[:, 1].min()
+    flat = seen.world[:, :2]
+    centre, middle = (np.average(some, axis=0, weights=seen.visibility) for some in (flat, seen.points))
+    spread = seen.visibility[:, None] * (flat - centre)
+    scale = (spread * (seen.points - middle)).sum() / (spread * (flat - centre)).sum()
+    points[:, :2] += ((middle - np.divide(size, 2.0)) / max(scale, 1.0) - centre) * (1.0, -1.0)  # a person has many px
     return points
 
 
@@ -165,9 +167,8 @@ class LiveSession:
     def _begin_grade(self) -> _Graded | None:
         from dousa.evaluation import IncrementalAssessor
 
-        if not self._references:
-            return None
-        return _Graded(IncrementalAssessor(list(self._references), self._rate))
+        references = list(self._references)
+        return _Graded(IncrementalAssessor(references, self._rate)) if references else None
 
     def see(self, picture: Image, seconds: float) -> dict[str, Any]:
         """Process the next picture.
@@ -184,11 +185,10 @@ class LiveSession:
         """
         with self._lock:
             self.used = begun = time.monotonic()
-            seen = self._finder(picture)
+            seen, size = self._finder(picture), (picture.shape[1], picture.shape[0])
             found = time.monotonic()
             if seen is not None:
-                self._take(seen, seconds)
-            size = picture.shape[1], picture.shape[0]
+                self._take(seen, size, seconds)
             return {
                 "person": None if seen is None else _describe(seen, size),
                 "label": self._describe_label(),
@@ -199,11 +199,11 @@ class LiveSession:
                 },
             }
 
-    def _take(self, seen: Seen, seconds: float) -> None:
-        if not np.isfinite(seen.world).all() or float(np.median(seen.visibility)) < 0.3:
+    def _take(self, seen: Seen, size: tuple[int, int], seconds: float) -> None:
+        if not np.isfinite([seen.world.sum(), seen.points.sum()]).all() or float(np.median(seen.visibility)) < 0.3:
             return
         try:
-            points = to_canonical(seen.world)
+            points = to_canonical(seen, size)
         except DousaError:  # such as a person half outside of the picture
             return
         # s without a person, after which label and grade start again
