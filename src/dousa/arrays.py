@@ -32,3 +32,12 @@ def iterate_blocks(count: int, size: int = 4096) -> Iterator[slice]:
 def spread_evenly(n: int, most: int) -> IndexArray:
     """Return at most ``most`` of n indices, evenly spread from the first to the last."""
     return np.unique(np.linspace(0, n - 1, min(n, most)).round()).astype(np.intp)
+
+
+def nearest_frames(times: FloatArray, moments: FloatArray) -> IndexArray:
+    """(S,) the frame that is nearest to each moment."""
+    after = np.clip(np.searchsorted(times, moments), 1, max(len(times) - 1, 1))
+    before = after - 1
+    if len(times) == 1:
+        return np.zeros(len(moments), np.intp)
+    return np.where(moments - times[before] <= times[after] - moments, before, after)

@@ -133,7 +133,7 @@ def tracked(monkeypatch):
                 raise KeyboardInterrupt
             views.read(frame)
             done.append(standing_state(body) if start is None else start)
-            on_checkpoint(Partial(np.array(done)))
+            on_checkpoint(lambda: Partial(np.array(done)))
             progress(frame + 1, views.n_frames, "tracking")
         n_frames, n_points = len(done), body.n_parts + len(body.tips)
         lost = np.zeros(n_frames, bool)

@@ -202,7 +202,7 @@ class TestPartialFile:
     def test_what_was_saved_comes_back(self, tmp_path):
         kept = PartialFile(tmp_path / "out.bvh", "key", every=0.0)
         assert kept.load(Track) == (None, None)
-        kept.save(self.track)
+        kept.save(lambda: self.track)
         assert [path.name for path in tmp_path.iterdir()] == [".out.bvh.partial.npz"]
         found, note = PartialFile(tmp_path / "out.bvh", "key").load(Track)
         assert note is None
@@ -213,14 +213,14 @@ class TestPartialFile:
         kept.remove()
 
     def test_other_inputs_start_anew_and_say_so(self, tmp_path):
-        PartialFile(tmp_path / "out.bvh", "key", every=0.0).save(self.track)
+        PartialFile(tmp_path / "out.bvh", "key", every=0.0).save(lambda: self.track)
         found, note = PartialFile(tmp_path / "out.bvh", "other").load(Track)
         assert found is None and note.code == "track_log.other_work" and "other inputs or settings" in str(note)
 
     @pytest.mark.parametrize("damage", ["cut", "text", "empty", "bits", "lacking"])
     def test_damaged_files_start_anew_and_say_so(self, tmp_path, damage):
         kept = PartialFile(tmp_path / "out.bvh", "key", every=0.0)
-        kept.save(self.track)
+        kept.save(lambda: self.track)
         whole = kept.path.read_bytes()
         bits = bytearray(whole)
         bits[len(bits) // 3] ^= 255
@@ -233,17 +233,17 @@ class TestPartialFile:
 
     def test_it_is_written_now_and_then_only(self, tmp_path):
         kept = PartialFile(tmp_path / "out.bvh", "key")
-        kept.save(self.track)
+        kept.save(lambda: pytest.fail("nothing is written, so nothing need be made"))
         assert list(tmp_path.iterdir()) == []
 
     def test_a_full_disk_does_not_end_the_work(self, tmp_path):
         kept = PartialFile(tmp_path / "none" / "out.bvh", "key", every=0.0)
-        kept.save(self.track)
+        kept.save(lambda: self.track)
         assert kept.problem.code == "track_log.not_kept" and "could not be resumed" in str(kept.problem)
 
     def test_nothing_is_kept_without_an_output(self):
         kept = PartialFile(None, "key", every=0.0)
-        kept.save(self.track)
+        kept.save(lambda: self.track)
         assert kept.load(Track) == (None, None)
         kept.remove()
 

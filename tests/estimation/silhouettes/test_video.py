@@ -7,8 +7,10 @@ import sys
 import cv2
 import numpy as np
 import pytest
+from oracles.film_files import turn_film, write_film
 
 from dousa.errors import OptionError, SilhouetteError
+from dousa.estimation.keypoints.films import FilmFrames
 from dousa.estimation.silhouettes.cleaning import label_pieces
 from dousa.estimation.silhouettes.images import fit_frame, quiet_opencv
 from dousa.estimation.silhouettes.silhouette_files import open_silhouettes
@@ -75,6 +77,45 @@ def test_frames_in_any_order_are_the_same(tmp_path):
     assert abs(file.read(50).mean() - rising[50]) < 3
     with pytest.raises(SilhouetteError, match="expected a frame"):
         file.read(100)
+
+
+def test_frames_of_an_uneven_film_are_taken_at_their_times(tmp_path):
+    times = np.cumsum([7, *[20] * 20, *[60] * 20])
+    path = write_film(tmp_path / "uneven.mkv", times.tolist())
+    with open_silhouettes([path], kind="mask") as opened:
+        assert abs(opened.n_frames / opened.frame_rate - 1.6) < 0.05
+        for k in (0, 8, 15, 30, opened.n_frames - 1, 20):
+            number = opened.read(k)[0][-4].sum() // 2  # the film counts its frames in its lowest rows
+            late = np.abs(times - times[0] - 1000 * k / opened.frame_rate)
+            assert late[number] <= late.min() + 20
+    file = VideoFile(path)
+    shown = [(number, seconds, frame) for number, seconds, frame in FilmFrames(path).read()]
+    np.testing.assert_allclose(file.times, [seconds for _, seconds, _ in shown], atol=1e-9)
+    for number, _, frame in shown[::-5]:
+        np.testing.assert_array_equal(file.read(number)[..., ::-1], frame)
+    assert VideoFile(path, 50.0).times[-1] == 0.8
+
+
+@pytest.mark.parametrize("name", ["a.avi", "a.h264", "a.mkv", "a.ts"])
+def test_any_frame_is_found_where_containers_seek_badly(tmp_path, name):
+    codec = {"a.avi": "mpeg4", "a.mkv": "mpeg4"}.get(name, "libx264")
+    path = write_film(tmp_path / name, list(range(0, 4800, 40)), (256, 64), codec)
+    file = VideoFile(path)
+    assert file.n_frames == 120
+    for frame in (119, 3, 100, 0, 1, 90, 118):
+        assert abs((file.read(frame)[-4].max(axis=1) > 127).sum() - 2 * frame) < 4
+
+
+@pytest.mark.parametrize("matrix", [(0, 1, -1, 0), (0, -1, 1, 0), (-1, 0, 0, -1)])
+def test_turned_films_are_upright_for_silhouettes_and_keypoints(tmp_path, matrix):
+    path = turn_film(write_film(tmp_path / "a.mp4"), tmp_path / "turned.mp4", matrix)
+    file = VideoFile(path)
+    with FilmFrames(path) as film:
+        assert file.size == film.size == ((64, 96) if matrix[0] == 0 else (96, 64))
+        for number, _, frame in film.read():
+            np.testing.assert_array_equal(file.read(number)[..., ::-1], frame)
+    mask = open_silhouettes([path], kind="mask").read(3)[0]
+    assert mask.shape == file.size[::-1] and abs(mask.mean() - 0.28) < 0.05
 
 
 def test_a_video_of_masks_is_told_from_its_frames(tmp_path):

@@ -165,7 +165,7 @@ def test_the_method_as_published_runs(walker):
 
 def checkpoints_of(clip, **more):
     kept = []
-    found = clip.track(on_checkpoint=kept.append, **more)
+    found = clip.track(on_checkpoint=lambda make: kept.append(make()), **more)
     return found, kept
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from dousa.app.pipelines.doubts import parse_frames
 from dousa.app.pipelines.estimation_views import check_count, read_view_cameras
-from dousa.arrays import FloatArray, Image, IndexArray, Mask
+from dousa.arrays import FloatArray, Image, Mask, nearest_frames
 from dousa.errors import CalibrationError, KeypointError, OptionError, SilhouetteError
 from dousa.estimation.silhouettes.silhouettes import Silhouettes
 from dousa.messages import Message
@@ -464,8 +464,9 @@ class PersonSilhouettes(Silhouettes):
         self._found, self._plates = films.found, plates
         self._sources = () if any(map(is_keypoints, sources)) else tuple(sources)
         self._files: list[VideoFile] = []
-        self._frames = [nearest_frames(view.times, films.moments + offset)
-                        for view, offset in zip(films.found, films.offsets, strict=True)]  # fmt: skip
+        clocks = [np.arange(plate.n_frames) / plate.frame_rate for plate in plates] or [v.times for v in films.found]
+        self._frames = [nearest_frames(times, films.moments + offset)
+                        for times, offset in zip(clocks, films.offsets, strict=True)]  # fmt: skip
         self._masks: list[list[PersonMasks]] = [
             [masks for number in numbers if (masks := view.people[number].masks) is not None]
             for view, numbers in zip(films.found, members, strict=True)
@@ -483,13 +484,12 @@ class PersonSilhouettes(Silhouettes):
 
     def read(self, frame: int) -> tuple[Mask | None, ...]:
         """The masks (height, width) of all views in one frame; None where a view has no image then."""
+        if self._plates:
+            own_frames = zip(self._plates, self._frames, strict=True)
+            return tuple(plate.read(int(places[frame]))[0] for plate, places in own_frames)
         masks: list[Mask | None] = []
         for view, found in enumerate(self._found):
             place = int(self._frames[view][frame])
-            if self._plates:
-                own = self._plates[view]
-                masks.append(own.read(min(place, own.n_frames - 1))[0])
-                continue
             drawn = (person.read(place, self.sizes[view], of=found.size) for person in self._masks[view])
             masks.append(next((mask for mask in drawn if mask is not None), None))
         return tuple(masks)
@@ -499,6 +499,9 @@ class PersonSilhouettes(Silhouettes):
         from dousa.estimation.silhouettes.video import VideoFile
         from dousa.extras import cv2
 
+        if self._plates:
+            own_frames = zip(self._plates, self._frames, strict=True)
+            return tuple(plate.look(int(places[frame]))[0] for plate, places in own_frames)
         if not self._sources:
             return super().look(frame)
         self._files = self._files or [VideoFile(path) for path in self._sources]
@@ -539,15 +542,6 @@ def open_plates(request: EstimationRequest, report: ProgressCallback) -> tuple[S
         open_bare_views(replace(request, sources=(film,), backgrounds=() if plate is None else (plate,)), report)
         for film, plate in zip(request.sources, plates, strict=True)
     )
-
-
-def nearest_frames(times: FloatArray, moments: FloatArray) -> IndexArray:
-    """(S,) the frame that is nearest to each moment."""
-    after = np.clip(np.searchsorted(times, moments), 1, max(len(times) - 1, 1))
-    before = after - 1
-    if len(times) == 1:
-        return np.zeros(len(moments), np.intp)
-    return np.where(moments - times[before] <= times[after] - moments, before, after)
 
 
 def has_plates(request: EstimationRequest) -> bool:

@@ -13,7 +13,7 @@ import os
 import time
 import zipfile
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
@@ -121,10 +121,11 @@ class PartialFile:
         except (*_DAMAGE, DousaError) as error:
             return None, Message("track_log.unusable", path=self.path, reason=error)
 
-    def save(self, track: Any) -> None:
-        """Keep a data class of arrays, numbers and texts, unless that was done a moment ago."""
+    def save(self, make: Callable[[], Any]) -> None:
+        """Make and keep a data class of arrays, numbers and texts, unless that was done a moment ago."""
         if self.path is None or self.problem is not None or time.monotonic() - self._last < self._every:
             return
+        track = make()
         fields = {field.name: getattr(track, field.name) for field in dataclasses.fields(track)}
         try:
             with atomic_write(self.path) as file:

@@ -114,6 +114,5 @@ def _with_warnings(found: ViewKeypoints, frames: FilmFrames, n_damaged: int) -> 
         warnings.append(Message("keypoints.nobody", film=name))
     if n_damaged:
         warnings.append(Message("keypoints.damaged", film=name, n=n_damaged))
-    if frames.n_stated and found.n_frames < 0.98 * frames.n_stated - 1:
-        warnings.append(Message("film.truncated", view=name, frames=found.n_frames, stated=frames.n_stated))
+    warnings += frames.note_lacking(name, found.n_frames)
     return replace(found, warnings=tuple(warnings))

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dousa.arrays import Image, Mask
+from dousa.arrays import FloatArray, Image, Mask, nearest_frames
 from dousa.errors import SilhouetteError
 from dousa.estimation.cameras.camera import format_size
 from dousa.messages import Message
@@ -217,12 +217,16 @@ class PackedSilhouettes(Silhouettes):
 
 
 class View(ABC):
-    """The silhouettes of one camera, from any source: as `Silhouettes`, with one name and one size."""
+    """The silhouettes of one camera, from any source: as `Silhouettes`, with one name and one size.
+
+    ``times`` (T,) are s of each frame since the first, None where ``frame_rate`` says them.
+    """
 
     name: str
     size: tuple[int, int]
     n_frames: int
     frame_rate: float
+    times: FloatArray | None = None
     warnings: Sequence[Message] = ()
 
     @abstractmethod
@@ -242,20 +246,21 @@ class _ViewsOnOneClock(Silhouettes):
 
     def __init__(
         self,
-        views: Sequence[tuple[View, float, float]],
+        views: Sequence[View],
+        clocks: Sequence[FloatArray],
         frame_rate: float,
         frames: tuple[int, int],
         warnings: Sequence[Message],
     ) -> None:
         self._views, self._own_warnings = tuple(views), warnings
-        self._first, self.n_frames = frames[0], frames[1] - frames[0]
-        self.frame_rate = frame_rate
-        self.names = _distinct(view.name for view, _, _ in views)
-        self.sizes = tuple(view.size for view, _, _ in views)
+        self.n_frames, self.frame_rate = frames[1] - frames[0], frame_rate
+        self._frames = [nearest_frames(times, np.arange(*frames) / frame_rate) for times in clocks]
+        self.names = _distinct(view.name for view in views)
+        self.sizes = tuple(view.size for view in views)
 
     @property
     def warnings(self) -> tuple[Message, ...]:  # type: ignore[override]
-        return (*self._own_warnings, *(text for view, _, _ in self._views for text in view.warnings))
+        return (*self._own_warnings, *(text for view in self._views for text in view.warnings))
 
     def read(self, frame: int) -> tuple[Mask | None, ...]:
         return tuple(view.read(place) for view, place in self._places(frame))
@@ -265,14 +270,11 @@ class _ViewsOnOneClock(Silhouettes):
 
     def _places(self, frame: int) -> list[tuple[View, int]]:
         """Return each view with the nearest of its own frames."""
-        moment = (checked_frame(frame, self.n_frames) + self._first) / self.frame_rate
-        return [
-            (view, min(math.floor((moment + start) * rate + 0.5), view.n_frames - 1))
-            for view, rate, start in self._views
-        ]
+        frame = checked_frame(frame, self.n_frames)
+        return [(view, int(places[frame])) for view, places in zip(self._views, self._frames, strict=True)]
 
     def close(self) -> None:
-        for view, _, _ in self._views:
+        for view in self._views:
             view.close()
 
 
@@ -323,9 +325,12 @@ def synchronise(
     if len(times) != len(views) or not all(map(math.isfinite, times)):
         raise SilhouetteError("masks.offsets", expected=len(views), found=str(times))
     starts = [time - min(times) for time in times]
-    lengths = [  # moments whose nearest image exists
-        math.ceil(((view.n_frames - 0.5) / own - start) * rate - 1e-9)
+    clocks = [
+        (np.arange(view.n_frames) / own if view.times is None else view.times) - start
         for view, own, start in zip(views, rates, starts, strict=True)
+    ]
+    lengths = [  # moments whose nearest image exists
+        math.ceil((clock[-1] + 0.5 / own) * rate - 1e-9) for clock, own in zip(clocks, rates, strict=True)
     ]
     length = min(lengths)
     if length < 1:
@@ -336,4 +341,4 @@ def synchronise(
     first, stop = frames or (0, length)
     if not 0 <= first < stop <= length:
         raise SilhouetteError("masks.frames", frames=length, first=first, stop=stop)
-    return _ViewsOnOneClock(list(zip(views, rates, starts, strict=True)), rate, (first, stop), warnings)
+    return _ViewsOnOneClock(views, clocks, rate, (first, stop), warnings)

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Sequence
-from contextlib import suppress
 from typing import Literal
 
 import numpy as np
 
 from dousa.arrays import Image, Mask, spread_evenly
-from dousa.errors import OptionError, SilhouetteError
+from dousa.errors import KeypointError, OptionError, SilhouetteError
 from dousa.estimation.cameras.camera import format_size
+from dousa.estimation.keypoints.films import FilmFrames
 from dousa.estimation.silhouettes.background import (
     BackgroundMethod,
     fill_camouflage,
@@ -20,7 +19,7 @@ from dousa.estimation.silhouettes.background import (
     subtract_background,
 )
 from dousa.estimation.silhouettes.cleaning import clean_mask, count_people
-from dousa.estimation.silhouettes.images import fit_frame, is_stretched, quiet_opencv, read_colour_image, resize_mask
+from dousa.estimation.silhouettes.images import fit_frame, is_stretched, read_colour_image, resize_mask
 from dousa.estimation.silhouettes.silhouettes import View, checked_frame, checked_rate
 from dousa.extras import cv2
 from dousa.messages import Message, Progress
@@ -32,123 +31,57 @@ LONGEST_SIDE = 640
 
 
 class VideoFile:
-    """Frames of a video file, decoded one at a time; going back or far ahead seeks.
+    """Upright frames of a video file, decoded one at a time; going back or far ahead seeks.
 
-    ``n_frames`` counts the frames that can be decoded, not those that the header states.
+    ``n_frames`` counts the frames that the file holds, not those that the header states; ``times`` (T,) are s since
+    the first, perhaps uneven.
 
     Parameters
     ----------
     path : the file.
-    frame_rate : Hz; by default that of the file.
+    frame_rate : Hz; by default that of the file, with the time stamps of the frames.
 
     Raises
     ------
-    SilhouetteError : missing, no video, an unsupported codec, no frames, no frame rate.
+    SilhouetteError : missing, no video, an unsupported codec, no frames.
     """
 
     def __init__(self, path: str | os.PathLike[str], frame_rate: float | None = None) -> None:
         self.path = os.fspath(path)
-        self._capture: cv2.VideoCapture | None = None
-        self._next = 0
-        self._latest: tuple[int, Image] | None = None
-        if not os.path.exists(path):
-            raise SilhouetteError("film.missing").at(path)
-        if not os.path.isfile(path):
-            raise SilhouetteError("film.no_file").at(path)
-        if not os.access(path, os.R_OK):
-            raise SilhouetteError("film.permission").at(path)
-        capture = self._open()
-        stated = float(capture.get(cv2.CAP_PROP_FPS))
-        if frame_rate is None and not (math.isfinite(stated) and 0 < stated <= 2000):
-            raise SilhouetteError("film.no_rate").at(path)
-        self.frame_rate = stated if frame_rate is None else checked_rate(frame_rate, self.path)
-        first = self._decode()
-        if first is None:
-            raise SilhouetteError("film.no_frame").at(path)
-        self._latest = (0, first)
-        self.size = (first.shape[1], first.shape[0])
-        self.n_frames, self.n_stated = self._count_frames(int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))
-
-    def _open(self) -> cv2.VideoCapture:
-        if self._capture is None:
-            with quiet_opencv():
-                self._capture = cv2.VideoCapture(self.path)
-            self._next = 0
-            if not self._capture.isOpened():
-                self._capture = None
-                raise SilhouetteError("film.unreadable").at(self.path)
-        return self._capture
-
-    def _decode(self) -> Image | None:
-        """Return the next frame, or None at the end or where the data are damaged."""
+        self._film: FilmFrames | None = None
+        self._latest: tuple[int, Image | None] = (-1, None)
         try:
-            with quiet_opencv():
-                good, image = self._open().read()
-        except cv2.error:
-            return None
-        if not good or image is None:
-            return None
-        self._next += 1
-        if image.ndim == 2:
-            image = image[..., None].repeat(3, axis=2)
-        return np.asarray(image[..., :3], np.uint8)
+            film = self._open()
+        except KeypointError as error:
+            raise SilhouetteError(error.message).at(path) from None
+        self.size, self.times = film.size, film.times
+        self.n_frames = len(self.times)
+        self.frame_rate = film.nominal_rate
+        self.lacking = film.note_lacking(os.path.splitext(os.path.basename(path))[0], self.n_frames)
+        if frame_rate is not None:
+            self.frame_rate = checked_rate(frame_rate, self.path)
+            self.times = np.arange(self.n_frames) / self.frame_rate
 
-    def _grab(self) -> bool:
-        """Pass the next frame; False at the end."""
-        with quiet_opencv():
-            return bool(self._open().grab())
+    def _open(self) -> FilmFrames:
+        if self._film is None:
+            self._film = FilmFrames(self.path)
+        return self._film
 
-    def _count_frames(self, stated: int) -> tuple[int, int]:
-        """Return the number of frames that can be decoded, and the number in the header (0 if absent)."""
-        if stated > 1:
-            self._seek(stated - 1)
-            if self._decode() is not None and not self._grab():
-                self._rewind()
-                return stated, stated
-        self._rewind()
-        count = 0
-        with suppress(cv2.error):  # what was decoded so far counts
-            while self._grab():
-                count += 1
-        self._rewind()
-        return max(1, count), max(0, stated)
-
-    def _seek(self, frame: int) -> None:
-        with quiet_opencv():
-            self._open().set(cv2.CAP_PROP_POS_FRAMES, frame)
-        self._next = frame
-
-    def _rewind(self) -> None:
-        self.close()
-        self._open()
-
-    def read(self, frame: int, seek_beyond: int = 64) -> Image | None:
-        """Return a frame (H, W, 3) uint8 blue, green, red; None where the data are damaged.
-
-        Decoding ``seek_beyond`` frames costs more than seeking.
-        """
+    def read(self, frame: int) -> Image | None:
+        """Return a frame (H, W, 3) uint8 blue, green, red; None where the data are damaged."""
         frame = checked_frame(frame, self.n_frames)
-        if self._latest is not None and self._latest[0] == frame:
-            return self._latest[1]
-        self._open()
-        if frame < self._next:
-            self._rewind()
-        if frame - self._next > seek_beyond:
-            self._seek(frame)
-        while self._next < frame:
-            if not self._grab():
-                return None
-            self._next += 1
-        image = self._decode()
-        self._latest = None if image is None else (frame, image)
-        return image
+        if self._latest[0] != frame:
+            try:
+                self._latest = (frame, self._open().find(frame))
+            except KeypointError as error:
+                raise SilhouetteError(error.message).at(self.path) from None
+        return self._latest[1]
 
     def close(self) -> None:
         """Close the file; reading opens it again."""
-        if self._capture is not None:
-            self._capture.release()
-            self._capture = None
-        self._next = 0
+        if self._film is not None:
+            self._film.close()
+            self._film = None
 
 
 def guess_video_kind(images: Sequence[Image], least_binary: float = 0.97) -> VideoKind:
@@ -182,10 +115,8 @@ class _VideoBased(View):
         self._file = file
         self.name = os.path.splitext(os.path.basename(file.path))[0]
         self.size = size or file.size
-        self.n_frames, self.frame_rate = file.n_frames, file.frame_rate
-        self.warnings: list[Message] = []
-        if file.n_stated and file.n_frames < file.n_stated:
-            self.warnings.append(Message("film.truncated", view=self.name, frames=file.n_frames, stated=file.n_stated))
+        self.n_frames, self.frame_rate, self.times = file.n_frames, file.frame_rate, file.times
+        self.warnings: list[Message] = list(file.lacking)
 
     def close(self) -> None:
         """Close the file; reading opens it again."""

@@ -109,7 +109,7 @@ def estimate(
     girths: Literal["fit", "keep"] = "fit",
     n_threads: int | None = None,
     resume: PartialTrack | None = None,
-    on_checkpoint: Callable[[PartialTrack], None] | None = None,
+    on_checkpoint: Callable[[Callable[[], PartialTrack]], None] | None = None,
     progress: Progress | None = None,
     on_frame: Callable[[TrackedFrame], None] | None = None,
     checkpoint_every: int = 32,
@@ -127,7 +127,7 @@ def estimate(
     girths : ``"fit"`` fits the girths of the parts to the first silhouettes, ``"keep"`` does not.
     n_threads : by default two, or one on a machine of one core; the result does not depend on it.
     resume : the state of an interrupted call with the same arguments.
-    on_checkpoint : called with the state so far.
+    on_checkpoint : called with a function that returns the state so far, at the cost of a copy of the whole track.
     progress : called with frames done, frames in all and the current step.
     on_frame : called with every frame as soon as it has a pose, and again when that is settled.
     checkpoint_every : frames from one call of ``on_checkpoint`` to the next.
@@ -274,7 +274,7 @@ class _Job:
             return self.ahead.popleft()
         return self.setup.pack(self.shrinker.shrink(self.silhouettes.read(self.at - 1)))
 
-    def run(self, on_checkpoint: Callable[[PartialTrack], None] | None, checkpoint_every: int) -> None:
+    def run(self, on_checkpoint: Callable[[Callable[[], PartialTrack]], None] | None, checkpoint_every: int) -> None:
         """Track to the end."""
         n_frames = self.silhouettes.n_frames
         self.clock = time.perf_counter()
@@ -288,7 +288,7 @@ class _Job:
                 self._keep(settled.pose, settled.frame)
             self.progress(self.at, n_frames, Message("tracker.tracking"))
             if on_checkpoint is not None and self.at % checkpoint_every == 0:
-                on_checkpoint(self._save())
+                on_checkpoint(self._save)
         for settled in self.beam.settle(0):
             self._keep(settled.pose, settled.frame)
         self.diagnosis.finish()

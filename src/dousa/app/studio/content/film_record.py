@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from dousa.app.player.figures import encode_array
 from dousa.app.studio.core.answers import Answer, RefusedError
 from dousa.app.studio.core.workspace import write_file
-from dousa.arrays import FloatArray, Image, Mask
+from dousa.arrays import FloatArray, Image, Mask, nearest_frames
 from dousa.files.disk import atomic_write
 from dousa.messages import Message, Progress
 
@@ -304,8 +304,6 @@ class FilmRecordWriter:
         )
 
     def _keep_tracks(self, found: Sequence[ViewKeypoints], moments: Sequence[FloatArray]) -> None:
-        from dousa.app.pipelines.film_scene import nearest_frames
-
         frames = np.stack([nearest_frames(view.times, own) for view, own in zip(found, moments, strict=True)])
         for number, (view, rows) in enumerate(zip(found, frames, strict=True)):
             names, _ = choose_names(view.names)
