@@ -18,8 +18,8 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_985, 115),
-    "estimation": (16_449, 69),
+    "app": (25_978, 115),
+    "estimation": (16_451, 69),
     "evaluation": (12_162, 46),
     "experiments": (1_715, 10),
     "files": (1_149, 8),
@@ -31,14 +31,14 @@ ROOMS = {
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 62_833,
+    "lines of tests": 62_882,
     "lines of JavaScript": 12_544,
     "constants": 1_062,
     "numeric constants without a source": 4,
     "functions over 60 lines": 14,
     "files over 650 lines": 0,
     "folders with more than 15 files": 0,
-    "lines with words that a native reader stumbles over": 55,
+    "lines with words that a native reader stumbles over": 56,
     "hand-written runs of a mask": 3,
     "commands": 32,
     "options": 194,

@@ -174,11 +174,14 @@ class FilmFrames(ExitStack):
         """
         if not 0 <= frame - self._number <= seek_beyond:
             self._seek(frame)
-        while not self._advance(frame):
+        while True:
+            while self._frame is not None and self._number < frame:
+                self._frame, self._number = next(self._frames, None), self._number + 1
+            if self._frame is not None:
+                return self._show(self._frame, frame, "bgr24")
             if not self._sought:
                 return None
             self._start()
-        return self._show(self._frame, frame, "bgr24")
 
     def _seek(self, frame: int) -> None:
         stamp = self._stamps[frame]
@@ -191,12 +194,6 @@ class FilmFrames(ExitStack):
             self._start()
         if self._number > frame:
             self._start()
-
-    def _advance(self, frame: int) -> bool:
-        """Decode up to a frame; False if the film ends before."""
-        while self._frame is not None and self._number < frame:
-            self._frame, self._number = next(self._frames, None), self._number + 1
-        return self._frame is not None
 
     def note_lacking(self, name: str, n_frames: int) -> list[Message]:
         """Say so where clearly fewer frames were found than the header states, which may be rounded."""

@@ -48,6 +48,7 @@ class VideoFile:
 
     def __init__(self, path: str | os.PathLike[str], frame_rate: float | None = None) -> None:
         self.path = os.fspath(path)
+        self.name = os.path.splitext(os.path.basename(self.path))[0]
         self._film: FilmFrames | None = None
         self._latest: tuple[int, Image | None] = (-1, None)
         try:
@@ -57,7 +58,7 @@ class VideoFile:
         self.size, self.times = film.size, film.times
         self.n_frames = len(self.times)
         self.frame_rate = film.nominal_rate
-        self.lacking = film.note_lacking(os.path.splitext(os.path.basename(path))[0], self.n_frames)
+        self.lacking = film.note_lacking(self.name, self.n_frames)
         if frame_rate is not None:
             self.frame_rate = checked_rate(frame_rate, self.path)
             self.times = np.arange(self.n_frames) / self.frame_rate
@@ -113,8 +114,7 @@ class _VideoBased(View):
 
     def __init__(self, file: VideoFile, size: tuple[int, int] | None = None) -> None:
         self._file = file
-        self.name = os.path.splitext(os.path.basename(file.path))[0]
-        self.size = size or file.size
+        self.name, self.size = file.name, size or file.size
         self.n_frames, self.frame_rate, self.times = file.n_frames, file.frame_rate, file.times
         self.warnings: list[Message] = list(file.lacking)
 
