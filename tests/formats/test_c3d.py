@@ -223,6 +223,14 @@ def test_round_trip(tmp_path_factory, seed, n_frames, n_points):
     assert (got.provenance.unit, got.provenance.up, got.provenance.up_source) == (0.001, "y", "declared")
 
 
+def test_three_of_four_points_in_one_frame_are_no_picture(tmp_path):
+    moving = random_trajectories(0, 1, 4)
+    positions = np.random.default_rng(0).normal(size=(1, 4, 3))
+    positions[0, 2] = np.nan
+    write_c3d(moving.replace(positions=positions), tmp_path / "x.c3d")
+    assert np.isfinite(read_c3d(tmp_path / "x.c3d").positions).all(axis=2).sum() == 3
+
+
 def test_many_points_and_many_frames(tmp_path):
     path = tmp_path / "x.c3d"
     for moving in (random_trajectories(1, 2, 600), random_trajectories(2, 70_001, 1)):

@@ -12,10 +12,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from dousa.arrays import FloatArray, IndexArray
+from dousa.arrays import BoolArray, FloatArray, IndexArray
 from dousa.errors import MotionFileError
 from dousa.formats.guard.lost import find_lost
 from dousa.messages import Message
+from dousa.motion.resampling import thin
 from dousa.motion.types import Skeleton
 
 _EARTH = 4.0075e10
@@ -59,13 +60,14 @@ def settle_positions(
     return positions, tuple(notes)
 
 
-def is_flat(positions: FloatArray, thin: float = 1e-4, most: int = 50) -> bool:
+def is_flat(positions: FloatArray, share: float = 1e-4, most: int = 50) -> bool:
     """Return whether all points lie in one plane in all frames, as in a picture: a person in space has depth.
 
     Parameters
     ----------
-    positions : (T, K, 3) in any unit, NaN where missing; fewer than four points are in a plane anyway.
-    thin : share of its size that the body is thick at most: 0.2 mm of a person.
+    positions : (T, K, 3) in any unit, NaN where missing; fewer than four that are ever seen are in a plane
+        anyway.
+    share : of its size that the body is thick at most: 0.2 mm of a person.
     most : frames that are looked at, the last one too.
     """
     if positions.shape[1] < 4 or not len(positions):
@@ -73,15 +75,15 @@ def is_flat(positions: FloatArray, thin: float = 1e-4, most: int = 50) -> bool:
     one, *others = positions[0, :: positions.shape[1] // 4][:4].tolist()
     (a, b, c), (d, e, f), (g, h, i) = ([x - y for x, y in zip(other, one, strict=True)] for other in others)
     size = max(map(abs, (a, b, c, d, e, f, g, h, i)))
-    if abs(a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g)) > thin * size**3:  # nearly every file
+    if abs(a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g)) > share * size**3:  # nearly every file
         return False
-    points = np.concatenate((positions[:: -(-len(positions) // most)].reshape(-1, 3), positions[-1]))
-    points = points[np.isfinite(points).all(axis=1)]
-    if len(points) < 4:
+    some = thin(positions, min(most, len(positions)))
+    seen: BoolArray = np.isfinite(some).all(axis=2)
+    if np.count_nonzero(seen.any(axis=0)) < 4:
         return False
-    points = points - points.mean(axis=0)
+    points = some[seen] - some[seen].mean(axis=0)
     least, middle, largest = np.sqrt(np.maximum(np.linalg.eigvalsh(points.T @ points), 0.0)).tolist()
-    return bool(least <= thin * largest < middle)
+    return bool(least <= share * largest < middle)
 
 
 def settle_roots(
