@@ -9,9 +9,11 @@ shadows; they are tracked with four views, two and one, the start searched for, 
 arms exchanged, so that there is something to find. Keypoints: films of `lab.trials.degrees`, seen by BlazePose's heavy
 and full models in turn, with and without the network's masks; with one view errors are those of the posture (hips in
 place), and the spread of the distance is printed by itself. Prints the weights (`dousa.estimation.body.doubt.WEIGHTS`)
-and, for people, shapes and recordings left out (HDM05's dg, Bandai Namco's walking and running), the curve: how many of
-the frames off by more than 150 mm are found when so many of the others are said too. What is made is kept; some 15 s a
-clip on one core, 40 s a film.
+and the curve: how many of the frames off by more than 150 mm are found when so many of the others are said too; for the
+people it learns from, each by what the others teach, and for people, shapes and recordings left out (HDM05's dg, Bandai
+Namco's walking and running). Beside it, of keypoints, what is found and said by the spread of the fit and the misfit as
+they are, and by the rules that were there before (`rule`). What is made is kept; some 15 s a clip on one core, 80 s a
+film.
 """
 
 from __future__ import annotations
@@ -27,10 +29,14 @@ import numpy as np
 from scipy.optimize import minimize
 
 from dousa.arrays import BoolArray, FloatArray
-from dousa.estimation import MEDIAPIPE_NAMES, TrackerSettings, estimate, fit_keypoints, make_human
+from dousa.estimation import MEDIAPIPE_NAMES, Camera, TrackerSettings, estimate, fit_keypoints, make_human
 from dousa.estimation.body.doubt import LOST_ERROR, SIGNS, Cue
+from dousa.estimation.body.human import USUAL_STATURE
 from dousa.estimation.body.kinematics import compute_points, point_names
 from dousa.estimation.body.posing import fit_pose
+from dousa.estimation.multiview.keypoint_doubt import VISIBLE
+from dousa.estimation.multiview.keypoint_fit import KeypointFit
+from dousa.estimation.multiview.triangulation import pixels_per_metre, reduce_known
 from dousa.estimation.silhouettes.silhouettes import PackedSilhouettes
 from dousa.estimation.tracking.diagnosis import Diagnosis, list_signs
 from dousa.estimation.tracking.outlines import do_meet
@@ -51,25 +57,45 @@ RECORDINGS = {
 # fmt: on
 _ENDS = {"legs": ("knee", "ankle"), "arms": ("elbow", "wrist")}
 _STARTS = (("auto", 4), ("auto", 2), ("auto", 1), ("legs", 2), ("legs", 4), ("arms", 2))
+_VIEWS = (4, 2, 1)
 _LEAST = 0.01  # m, below which errors do not matter
 
 
 class Tracked(NamedTuple):
     """Signs (T, N, S) and errors (T, N) m of the points of one track, nan where the truth is unknown.
 
-    ``usual`` tracks began with a search. ``away`` (T,): the distance found by the true one, with one view of keypoints.
+    ``what`` it is, of which ``film``; ``usual`` ones began with a search. ``ruled`` (T,): what a `rule` says of them.
+    ``away`` (T,): the distance found by the true one, with one view of keypoints.
     """
 
     signs: FloatArray
     errors: FloatArray
     kind: tuple[Cue, bool]
+    what: str = ""
+    film: int = 0
     usual: bool = True
+    ruled: BoolArray | None = None
     away: FloatArray = np.ones(0)
 
     @property
     def off(self) -> BoolArray:
         """Frames (T,) that are off."""
         return np.asarray(np.nanmean(self.errors, axis=1) > LOST_ERROR)
+
+
+class Learned(NamedTuple):
+    """Weights (S,), and the expected mean error in m from which a frame is said to be off."""
+
+    weights: FloatArray
+    said: float
+
+    def expect(self, track: Tracked) -> FloatArray:
+        """Compute the expected mean error (T,) m of each frame."""
+        return np.asarray(np.sqrt(((self.weights * track.signs) ** 2).sum(axis=-1)).mean(axis=1))
+
+
+PLAIN = Learned(np.array([float(sign in ("width", "misfit")) for sign in SIGNS]), 0.1)
+"""The spread of the fit and the misfit as they are."""
 
 
 def disturb(clip: BenchClip, rng: np.random.Generator) -> BenchClip:
@@ -127,7 +153,9 @@ def track(clip: BenchClip, count: int, start: str) -> Tracked:
         if joint in names:
             own = names.index(joint)
             errors[:, own] = np.linalg.norm(points[:, own] - clip.truth[:, row], axis=-1)
-    return Tracked(list_signs(setup, found.poses, notes.arrays()), errors, ("silhouettes", meet), start == "auto")
+    signs = list_signs(setup, found.poses, notes.arrays())
+    what = f"{'noisy' if clip.variant == 'noisy' else 'clean'}, {count}"
+    return Tracked(signs, errors, ("silhouettes", meet), what, usual=start == "auto")
 
 
 def fit(film: Film, count: int, masks: bool) -> Tracked:
@@ -145,7 +173,24 @@ def fit(film: Film, count: int, masks: bool) -> Tracked:
         truth = truth + (own - true)[:, None]
     errors = np.full(points.shape[:2], np.nan)
     errors[:, rows] = np.linalg.norm(points[:, rows] - truth, axis=-1)
-    return Tracked(found.signs, errors, ("keypoints", count > 1), away=away)
+    what = f"{'both' if masks else 'keypoints'}, {count}"
+    return Tracked(found.signs, errors, ("keypoints", count > 1), what, ruled=rule(found, cameras), away=away)
+
+
+def rule(found: KeypointFit, cameras: Sequence[Camera]) -> BoolArray:
+    """Find the frames (T,) that were lost before doubt was learned.
+
+    Those whose joints spread by more than 100 mm (several views), of whose landmarks two views (or the only one) show
+    less than 35 %, or lie beside the body by 3 sigmas in the middle.
+    """
+    visible, places = found.seen.visibility > VISIBLE, found.points
+    sigmas = found.landmarks.spread * np.stack([pixels_per_metre(camera, places) for camera in cameras])
+    off = np.where(visible, found.errors / sigmas, np.nan)
+    middle = reduce_known(np.nanmedian, np.moveaxis(off, 1, 0).reshape(len(places), -1), 1)
+    lost = (visible.sum(axis=0) >= min(2, len(cameras))).mean(axis=1) < 0.35
+    lost |= ~(middle <= 3.0)
+    width = found.signs[..., SIGNS.index("width")].mean(axis=1) * found.estimate.body.stature / USUAL_STATURE
+    return np.asarray(lost | ((len(cameras) > 1) & (width > 0.1)))
 
 
 def learn(tracks: Sequence[Tracked], tail: float = 4.0) -> FloatArray:
@@ -176,49 +221,80 @@ def learn(tracks: Sequence[Tracked], tail: float = 4.0) -> FloatArray:
     return np.where((found[:-1] > -14.0) & (usual > 1e-9), weights, 0.0)  # nothing is known of a sign that never shows
 
 
-def expect(track: Tracked, weights: FloatArray) -> FloatArray:
-    """Compute the expected mean error (T,) m of each frame."""
-    return np.asarray(np.sqrt(((weights * track.signs) ** 2).sum(axis=-1)).mean(axis=1))
+def learn_bound(tracks: Sequence[Tracked], least: float = 0.05) -> Learned:
+    """Learn the weights, and from where to say it: ``least`` is the share that may be said wrongly."""
+    learned = Learned(learn(tracks), LOST_ERROR)
+    if tracks[0].kind == ("silhouettes", False):
+        return learned  # nothing tells good frames: the expected error itself decides
+    good = np.concatenate([learned.expect(track)[~track.off] for track in tracks if track.usual])
+    return learned._replace(said=float(np.quantile(good, 1.0 - least)))
 
 
-def print_curve(what: str, tracks: Sequence[Tracked], weights: FloatArray, said: float) -> None:
-    """Print how many frames off are found when so many of the others are said."""
-    if not tracks:
-        return
-    expected = np.concatenate([expect(own, weights) for own in tracks])
-    off = np.concatenate([own.off for own in tracks])
-    actual = np.concatenate([np.nanmean(own.errors, axis=1) for own in tracks])
-    cells = []
+def print_curve(name: str, tracks: Sequence[Tracked], learned: Sequence[Learned]) -> None:
+    """Print how many frames off are found, each track by its own weights, when so many of the others are said."""
+    expected = np.concatenate([own.expect(track) for own, track in zip(learned, tracks, strict=True)])
+    said = np.concatenate([own.expect(track) > own.said for own, track in zip(learned, tracks, strict=True)])
+    plain = np.concatenate([PLAIN.expect(track) for track in tracks])
+    actual = np.concatenate([np.nanmean(track.errors, axis=1) for track in tracks])
+    off = np.concatenate([track.off for track in tracks])
+    cells = [name, f"{off.sum()} of {len(off)}"]
     for share in (0.02, 0.05, 0.1, 0.2, 0.4):
         bound = np.quantile(expected[~off], 1.0 - share) if (~off).any() else np.inf
         cells.append(f"{100 * (expected[off] > bound).mean():.0f}" if off.any() else "")
-    found = f"{100 * (expected[off] > said).mean():.0f}" if off.any() else ""
-    false = f"{100 * (expected[~off] > said).mean():.1f}" if (~off).any() else ""
-    print(f"| {what} | {off.sum()} of {len(off)} | {' | '.join(cells)} | {found}, {false} | "
-          f"{1e3 * expected.mean():.0f} | {1e3 * actual.mean():.0f} |")  # fmt: skip
+    cells.append(_tell(said, off))
+    ruled = [track.ruled for track in tracks if track.ruled is not None]
+    cells += [_tell(plain > PLAIN.said, off), _tell(np.concatenate(ruled), off)] if ruled else ["", ""]
+    cells += [f"{1e3 * values.mean():.0f}" for values in (expected, plain, actual)]
+    print(f"| {' | '.join(cells)} |")
 
 
-def report(tuned: Sequence[Tracked], named: dict[str, Sequence[Tracked]], least: float = 0.05) -> None:
-    """Print the weights and the curves of the others; ``least`` is the share that may be said wrongly."""
-    kinds = dict.fromkeys(track.kind for track in tuned)
-    learned = {}
-    for kind in kinds:
+def _tell(said: BoolArray, off: BoolArray) -> str:
+    found = f"{100 * said[off].mean():.0f}" if off.any() else "-"
+    return f"{found}, {100 * said[~off].mean():.1f}" if (~off).any() else found
+
+
+def report(tuned: Sequence[Tracked], left_out: Sequence[Tracked]) -> None:
+    """Print the weights, and the curves of the tracks and of others."""
+    print("| | off | found at 2 % said wrongly | 5 | 10 | 20 | 40 | said of these, of the others "
+          "| by spread and misfit | by the rule | expected, mm | by spread and misfit | actual |\n"
+          + "| --- " * 13 + "|")  # fmt: skip
+    for kind in dict.fromkeys(track.kind for track in tuned):
         own = [track for track in tuned if track.kind == kind]
-        weights = learn(own)
-        good = np.concatenate([expect(track, weights)[~track.off] for track in own if track.usual])
-        # with one view of silhouettes nothing tells good frames: there the expected error itself decides
-        said = LOST_ERROR if kind == ("silhouettes", False) else float(np.quantile(good, 1.0 - least))
-        learned[kind] = weights, said
-        print(kind, dict(zip(SIGNS, weights.round(3).tolist(), strict=True)), f"said from {said:.3f} m")
+        learned = learn_bound(own)
+        films = {film: [track for track in own if track.film != film] for film in {track.film for track in own}}
+        others = {film: learn_bound(rest) for film, rest in films.items() if rest}
+        for what in (None, *dict.fromkeys(track.what for track in own)):
+            name = what or f"{kind[0]}, {'several views' if kind[1] else 'one view'}"
+            rows = [track for track in own if track.usual and what in (None, track.what) and track.film in others]
+            if rows:
+                print_curve(f"each left out, {name}", rows, [others[track.film] for track in rows])
+            rows = [track for track in left_out if track.kind == kind and what in (None, track.what)]
+            if rows:
+                print_curve(f"left out, {name}", rows, [learned] * len(rows))
+        print(kind, dict(zip(SIGNS, learned.weights.round(3).tolist(), strict=True)), f"said from {learned.said:.3f} m")
         away = np.concatenate([track.away for track in own])
         if len(away):
             print(f"distance: {np.median(away):.3f} of the true one in the middle, one sigma "
                   f"{1.48 * np.median(np.abs(np.log(away))):.3f}")  # fmt: skip
-    print("\n| | off | found at 2 % said wrongly | 5 | 10 | 20 | 40 | said of these, of the others | expected, mm | "
-          "actual, mm |\n" + "| --- " * 10 + "|")  # fmt: skip
-    for what, tracks in named.items():
-        for kind in kinds:
-            print_curve(what, [track for track in tracks if track.kind == kind], *learned[kind])
+
+
+def track_all(given: argparse.Namespace, people: str, number: int) -> list[Tracked]:
+    """Track a clip of silhouettes in all ways; it is made if it is not there."""
+    clean = open_clip(given.kept / _name(people, number), given, people, number)
+    noisy = disturb(clean, np.random.default_rng(900 * (people != "tuned") + number))
+    if people == "tuned":
+        return [track(noisy if number % 2 else clean, views, start) for start, views in _STARTS]
+    return [track(own, views, "auto") for own in (clean, noisy) for views in _VIEWS]
+
+
+def fit_all(given: argparse.Namespace, people: str, number: int) -> list[Tracked]:
+    """Fit a film's keypoints in all ways; it is made if it is not there."""
+    film = open_film(given.kept / "films" / _name(people, number), given, people, number)
+    return [fit(film, views, masks) for masks in (False, True) for views in _VIEWS]
+
+
+def _name(people: str, number: int) -> str:
+    return f"{people.replace(' ', '_')}_{number:03d}.npz"
 
 
 def open_clip(path: Path, given: argparse.Namespace, people: str, number: int) -> BenchClip:
@@ -248,34 +324,14 @@ def main() -> None:
     parser.add_argument("--clips", type=int, default=30)
     parser.add_argument("--left-out", type=int, default=10)
     given = parser.parse_args()
-    tuned: list[Tracked] = []
-    named: dict[str, list[Tracked]] = {}
+    tracks: dict[str, list[Tracked]] = {}
     for people, count in (("tuned", given.clips), ("left out", given.left_out)):
+        tracks[people] = []
         for number in range(count):
-            stem = f"{people.replace(' ', '_')}_{number:03d}.npz"
             for cue in given.cues.split(","):
-                if cue == "silhouettes":
-                    clean = open_clip(given.kept / stem, given, people, number)
-                    noisy = disturb(clean, np.random.default_rng(900 * (people != "tuned") + number))
-                    if people == "tuned":
-                        own = noisy if number % 2 else clean
-                        tuned += [track(own, views, start) for start, views in _STARTS]
-                        continue
-                    rows = {
-                        (what, views): track(own, views, "auto")
-                        for what, own in (("clean", clean), ("noisy", noisy))
-                        for views in (4, 2, 1)
-                    }
-                else:
-                    film = open_film(given.kept / "films" / stem, given, people, number)
-                    rows = {(what, views): fit(film, views, what == "both") for what in ("keypoints", "both")
-                            for views in (4, 2, 1)}  # fmt: skip
-                    if people == "tuned":
-                        tuned += rows.values()
-                        continue
-                for (what, views), row in rows.items():
-                    named.setdefault(f"{what}, {views}", []).append(row)
-    report(tuned, named)
+                found = fit_all(given, people, number) if cue == "keypoints" else track_all(given, people, number)
+                tracks[people] += [own._replace(film=number) for own in found]
+    report(tracks["tuned"], tracks["left out"])
 
 
 if __name__ == "__main__":

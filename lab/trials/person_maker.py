@@ -9,6 +9,7 @@ import argparse
 import gzip
 import json
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache, cached_property
 from pathlib import Path
@@ -19,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import BoolArray, FloatArray
+from dousa.errors import JointMappingError
 from dousa.estimation import Camera, make_human, poses_from_motion
 from dousa.estimation.body.kinematics import place_parts
 from dousa.formats.registry import read_motion
@@ -183,15 +185,18 @@ def move_person(
 ) -> MovedPerson:
     """Let a person move as a random stretch of one of the recordings, of so many frames at about this rate."""
     person = MadePerson(mesh, rng)
-    motion = read_motion(motions[rng.integers(len(motions))])
-    if isinstance(motion, Motion):
-        motion = compute_trajectories(motion)
-    step = max(1, round(motion.frame_rate / rate))
-    first = int(rng.integers(0, max(1, motion.n_frames - n_frames * step)))
-    chosen = np.arange(first, min(motion.n_frames, first + n_frames * step), step)
-    part = replace(motion, positions=motion.positions[chosen], frame_rate=motion.frame_rate / step)
-    body = make_human(person.stature)
-    turns, places = place_parts(body, poses_from_motion(body, part))
+    body, poses = make_human(person.stature), None
+    while poses is None:
+        motion = read_motion(motions[rng.integers(len(motions))])
+        if isinstance(motion, Motion):
+            motion = compute_trajectories(motion)
+        step = max(1, round(motion.frame_rate / rate))
+        first = int(rng.integers(0, max(1, motion.n_frames - n_frames * step)))
+        chosen = np.arange(first, min(motion.n_frames, first + n_frames * step), step)
+        part = replace(motion, positions=motion.positions[chosen], frame_rate=motion.frame_rate / step)
+        with suppress(JointMappingError):  # some takes of UI-PRMD lack a wrist: then another one
+            poses = poses_from_motion(body, part)
+    turns, places = place_parts(body, poses)
     hips = 0.5 * (places[:, body.names.index("left_thigh")] + places[:, body.names.index("right_thigh")])
     hips = hips - hips.mean(axis=0) * (1, 0, 1)
     posed = [person.pose(dict(zip(body.names, turn, strict=True)), hip)
