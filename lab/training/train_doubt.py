@@ -12,7 +12,8 @@ place), and the spread of the distance is printed by itself. Prints the weights 
 and the curve: how many of the frames off by more than 150 mm are found when so many of the others are said too; for the
 people it learns from, each by what the others teach, and for people, shapes and recordings left out (HDM05's dg, Bandai
 Namco's walking and running). Beside it, of keypoints, what is found and said by the spread of the fit and the misfit as
-they are, and by the rules that were there before (`rule`). What is made is kept; some 15 s a clip on one core, 80 s a
+they are, and by the rules that were there before (`rule`). Several views of keypoints are also spoilt, by one that is
+late or whose camera is turned. What is made is kept; some 15 s a clip on one core, 80 s a
 film.
 """
 
@@ -29,7 +30,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from dousa.arrays import BoolArray, FloatArray
-from dousa.estimation import MEDIAPIPE_NAMES, Camera, TrackerSettings, estimate, fit_keypoints, make_human
+from dousa.estimation import MEDIAPIPE_NAMES, Camera, PersonTrack, TrackerSettings, estimate, fit_keypoints, make_human
 from dousa.estimation.body.doubt import LOST_ERROR, SIGNS, Cue
 from dousa.estimation.body.human import USUAL_STATURE
 from dousa.estimation.body.kinematics import compute_points, point_names
@@ -58,6 +59,9 @@ RECORDINGS = {
 _ENDS = {"legs": ("knee", "ankle"), "arms": ("elbow", "wrist")}
 _STARTS = (("auto", 4), ("auto", 2), ("auto", 1), ("legs", 2), ("legs", 4), ("arms", 2))
 _VIEWS = (4, 2, 1)
+_FITS = (*((what, views) for what in ("keypoints", "both") for views in _VIEWS), ("late", 2), ("late", 4),
+         ("turned", 2), ("turned", 4))  # fmt: skip
+_LATE, _TURNED = 0.5, np.deg2rad(5.0)  # s, rad, by which a view is spoilt, so that there is something to find
 _LEAST = 0.01  # m, below which errors do not matter
 
 
@@ -154,14 +158,21 @@ def track(clip: BenchClip, count: int, start: str) -> Tracked:
             own = names.index(joint)
             errors[:, own] = np.linalg.norm(points[:, own] - clip.truth[:, row], axis=-1)
     signs = list_signs(setup, found.poses, notes.arrays())
-    what = f"{'noisy' if clip.variant == 'noisy' else 'clean'}, {count}"
+    what = f"{'noisy' if clip.variant == 'noisy' else 'clean'}, {count}" + ("" if start == "auto" else f", {start}")
     return Tracked(signs, errors, ("silhouettes", meet), what, usual=start == "auto")
 
 
-def fit(film: Film, count: int, masks: bool) -> Tracked:
-    """Fit keypoints of a film, with the network's masks or without."""
-    views = list(choose_views(film.cameras, count))
+def fit(film: Film, count: int, what: str) -> Tracked:
+    """Fit keypoints of a film: alone, with the network's masks ("both"), or with a view that is "late" or "turned"."""
+    views, masks = list(choose_views(film.cameras, count)), what == "both"
     cameras, tracks = [film.cameras[view] for view in views], [film.tracks[view] for view in views]
+    if what == "late":
+        tracks[-1] = delay(tracks[-1], round(_LATE * film.rate))
+    elif what == "turned":
+        turn = cv2.Rodrigues(np.array([0.0, _TURNED, 0.0]))[0]
+        cameras[-1] = replace(
+            cameras[-1], rotation=turn @ cameras[-1].rotation, translation=turn @ cameras[-1].translation
+        )
     found = fit_keypoints(cameras, tracks, MEDIAPIPE_NAMES, film.rate, stature=film.stature if count == 1 else None,
                           silhouettes=film.silhouettes(views) if masks else None)  # fmt: skip
     names, points = point_names(found.estimate.body), compute_points(found.estimate.body, found.estimate.poses)
@@ -173,8 +184,15 @@ def fit(film: Film, count: int, masks: bool) -> Tracked:
         truth = truth + (own - true)[:, None]
     errors = np.full(points.shape[:2], np.nan)
     errors[:, rows] = np.linalg.norm(points[:, rows] - truth, axis=-1)
-    what = f"{'both' if masks else 'keypoints'}, {count}"
-    return Tracked(found.signs, errors, ("keypoints", count > 1), what, ruled=rule(found, cameras), away=away)
+    kind: tuple[Cue, bool] = ("keypoints", count > 1)
+    usual = what not in ("late", "turned")
+    return Tracked(found.signs, errors, kind, f"{what}, {count}", usual=usual, ruled=rule(found, cameras), away=away)
+
+
+def delay(track: PersonTrack, count: int) -> PersonTrack:
+    """Return a track (T, ...) so many frames later, as of a film that is badly synchronised."""
+    rows = np.maximum(np.arange(track.n_frames) - count, 0)
+    return PersonTrack(track.points[rows], track.visibility[rows], None if track.world is None else track.world[rows])
 
 
 def rule(found: KeypointFit, cameras: Sequence[Camera]) -> BoolArray:
@@ -253,6 +271,10 @@ def _tell(said: BoolArray, off: BoolArray) -> str:
     return f"{found}, {100 * said[~off].mean():.1f}" if (~off).any() else found
 
 
+def _suits(track: Tracked, what: str | None) -> bool:
+    return track.usual if what is None else track.what == what
+
+
 def report(tuned: Sequence[Tracked], left_out: Sequence[Tracked]) -> None:
     """Print the weights, and the curves of the tracks and of others."""
     print("| | off | found at 2 % said wrongly | 5 | 10 | 20 | 40 | said of these, of the others "
@@ -265,10 +287,10 @@ def report(tuned: Sequence[Tracked], left_out: Sequence[Tracked]) -> None:
         others = {film: learn_bound(rest) for film, rest in films.items() if rest}
         for what in (None, *dict.fromkeys(track.what for track in own)):
             name = what or f"{kind[0]}, {'several views' if kind[1] else 'one view'}"
-            rows = [track for track in own if track.usual and what in (None, track.what) and track.film in others]
+            rows = [track for track in own if track.film in others and _suits(track, what)]
             if rows:
                 print_curve(f"each left out, {name}", rows, [others[track.film] for track in rows])
-            rows = [track for track in left_out if track.kind == kind and what in (None, track.what)]
+            rows = [track for track in left_out if track.kind == kind and _suits(track, what)]
             if rows:
                 print_curve(f"left out, {name}", rows, [learned] * len(rows))
         print(kind, dict(zip(SIGNS, learned.weights.round(3).tolist(), strict=True)), f"said from {learned.said:.3f} m")
@@ -290,7 +312,7 @@ def track_all(given: argparse.Namespace, people: str, number: int) -> list[Track
 def fit_all(given: argparse.Namespace, people: str, number: int) -> list[Tracked]:
     """Fit a film's keypoints in all ways; it is made if it is not there."""
     film = open_film(given.kept / "films" / _name(people, number), given, people, number)
-    return [fit(film, views, masks) for masks in (False, True) for views in _VIEWS]
+    return [fit(film, views, what) for what, views in _FITS]
 
 
 def _name(people: str, number: int) -> str:
