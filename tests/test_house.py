@@ -24,14 +24,14 @@ ROOMS = {
     "experiments": (1_715, 10),
     "files": (1_149, 8),
     "formats": (13_118, 70),
-    "library": (15_680, 59),
+    "library": (15_681, 59),
     "messages": (235, 3),
     "motion": (6_484, 34),
     "retrieval": (13_199, 47),
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 62_890,
+    "lines of tests": 62_903,
     "lines of JavaScript": 12_544,
     "constants": 1_062,
     "numeric constants without a source": 4,

@@ -174,6 +174,19 @@ def test_a_table_that_does_not_fit_changes_nothing(library, takes, monkeypatch, 
     assert codes(add(library, takes))[:2] == [("p1_take.bvh", "past_end"), ("p1_take.bvh", "beyond")]
 
 
+def test_a_table_that_does_not_fit_undoes_nothing_of_the_block_around_it(library, takes, write_move):
+    add(library, takes)
+    write_move(takes / "p2_take.bvh", "wave", 70, n_frames=90)
+    (takes / "p2_take.labels.csv").write_text(HEAD + "45,88,sit\n")
+    with library.one_change():
+        library.relabel(1, performer="Ben")
+        with pytest.raises(MotionFileError):
+            add(library, takes)
+    assert library.clips([1])[0].performer == "Ben"
+    library.undo()
+    assert library.clips([1])[0].performer == "p0"
+
+
 @pytest.mark.parametrize(("name", "content"), [("p1_take.labels.csv", HEAD), ("p1_take.TextGrid", "")])
 def test_an_empty_table_is_no_annotation(library, takes, name, content):
     (takes / "p1_take.labels.csv").unlink()

@@ -149,12 +149,13 @@ class Adding:
         tasks = self._plan(labels)
         self._check_known(labels)
         with recording_together(self._database.engine) as whole:  # one change for all portions
+            before = whole.number  # of a block around it
             try:
                 self._read(tasks, labels, n_jobs, report)
                 if self._labels_from is not None:
                     self._annotate(labels)
             except DousaError:
-                if labels and whole.number is not None:  # many takes, written while others were read
+                if labels and whole.number != before:  # many takes, written while others were read
                     step(self._database, whole.number, redo=False)
                     whole.number = None
                 raise
