@@ -136,7 +136,8 @@ def estimate_from_films(
     found = _find_people(views, asked, context)
     record.find(found)
     kept, numbers = leave_out(found, left_out)
-    scene = place_films(asked, kept, context.progress, choose_who_places(kept, numbers, wanted))
+    heard = replace(asked, sources=tuple(view.film or view.source for view in views))  # films have sound, and a lens
+    scene = place_films(heard, kept, context.progress, choose_who_places(kept, numbers, wanted))
     record.place(scene, found)
     people = match_people(scene.cameras, scene.list_people(), kept[0].names)
     if not people:
