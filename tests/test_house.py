@@ -19,7 +19,7 @@ SOURCE = ROOT / "src" / "dousa"
 # Lines and files of each room, stubs included.
 ROOMS = {
     "app": (25_979, 115),
-    "estimation": (16_451, 69),
+    "estimation": (16_449, 69),
     "evaluation": (12_162, 46),
     "experiments": (1_715, 10),
     "files": (1_149, 8),
@@ -31,7 +31,7 @@ ROOMS = {
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 62_903,
+    "lines of tests": 62_907,
     "lines of JavaScript": 12_544,
     "constants": 1_062,
     "numeric constants without a source": 4,

@@ -430,7 +430,7 @@ class TestSources:
         (tmp_path / "view1.mp4").write_bytes(b"no video at all")
         (tmp_path / "empty").mkdir()
         calibration = ("--cameras", sources / "cameras.toml")
-        failed(dousa("estimate", tmp_path / "view1.mp4", *calibration), "cannot be opened as a video")
+        failed(dousa("estimate", tmp_path / "view1.mp4", *calibration), "cannot be opened as a film")
         failed(dousa("estimate", tmp_path / "empty", *calibration), "empty", "images")
         failed(dousa("estimate", sources / "view1.mp4"), "calibration file required")
         plates = ("--background", "x.png", "--background", "y.png")

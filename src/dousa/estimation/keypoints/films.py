@@ -57,7 +57,6 @@ class FilmFrames(ExitStack):
         if not os.path.getsize(path):
             raise KeypointError("disk.empty").at(path)
         self._av = require("av", "film")
-        self._av.logging.set_level(self._av.logging.PANIC)
         self._errors = (self._av.error.FFmpegError, ValueError)
         self._start()
         rate = float(self._stream.average_rate or self._stream.guessed_rate or usual_rate)

@@ -60,7 +60,6 @@ def read_sound(path: str | os.PathLike[str], longest: float = 1800.0) -> Sound |
     av = require("av", "film")
     if not os.path.isfile(path):
         raise CalibrationError("sync.no_film").at(path)
-    av.logging.set_level(av.logging.PANIC)
     try:
         with av.open(os.fspath(path)) as container:
             if not container.streams.audio:

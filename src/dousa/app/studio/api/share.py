@@ -27,7 +27,7 @@ class LinkRequest(StrictModel):
         None, description="the job of one evaluation; null for all evaluations and the library"
     )
     films: bool = Field(
-        False, description="instead, to film or upload into a new inbox; needs `dousa studio --share-films`"
+        False, description="instead, to film or upload into a new inbox; needs a studio whose links take films"
     )
 
 
