@@ -20,7 +20,7 @@ SOURCE = ROOT / "src" / "dousa"
 ROOMS = {
     "app": (25_979, 115),
     "estimation": (16_449, 69),
-    "evaluation": (12_162, 46),
+    "evaluation": (12_136, 46),
     "experiments": (1_715, 10),
     "files": (1_149, 8),
     "formats": (13_118, 70),

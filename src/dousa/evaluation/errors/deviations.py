@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from dousa.arrays import FloatArray
 from dousa.evaluation.posture.posture import Working, interpolate_segments
 from dousa.evaluation.posture.yaw import rotate_yaw
-from dousa.kernels import kernel, part
+from dousa.kernels import kernel
 
 MAX_LAG_S = 1.2  # see docs/evaluation.md
 YAW_WINDOW_S = 0.6  # see docs/evaluation.md
@@ -144,56 +144,6 @@ def _take_nearest(mine: NDArray[np.float32], its: NDArray[np.float32]) -> NDArra
 _SMALLEST_SEEN = 1e-30  # by definition 0 means not seen; this is far below rounding
 
 
-@part
-def _measure_lag(
-    ours: FloatArray,
-    theirs: FloatArray,
-    ours_seen: NDArray[np.bool_],
-    theirs_seen: NDArray[np.bool_],
-    weights: FloatArray,
-    half: int,
-    scale: float,
-    room: FloatArray,
-    total: FloatArray,
-    far: FloatArray,
-    turn: FloatArray,
-) -> None:  # pragma: no cover - compiled
-    """Do `measure_deviations` for one lag: into ``far`` (T, 9) and ``turn`` (T, 2), cosine and sine of the yaw.
-
-    Both motions are of the same moments; ``room`` is (T, 5, 9), ``total`` (T + 1, 2).
-    """
-    n_frames = len(ours)
-    for t in range(n_frames):
-        here, a, b = room[t], ours[t], theirs[t]
-        for s in range(9):
-            here[4, s] = weights[s] if ours_seen[t, s] and theirs_seen[t, s] else 0.0
-            here[0, s] = a[s, 2] * b[s, 2] + a[s, 0] * b[s, 0]  # along
-            here[1, s] = a[s, 0] * b[s, 2] - a[s, 2] * b[s, 0]  # across
-            here[2, s] = 2.0 - 2.0 * a[s, 1] * b[s, 1]  # upright
-            here[3, s] = here[4, s]  # trust
-    total[0, 0] = total[0, 1] = 0.0
-    for _ in range(4):  # each time what is off loses more of its say
-        for t in range(n_frames):
-            here = room[t]
-            along, across = 0.0, 0.0
-            for s in range(9):
-                along += here[0, s] * here[3, s]
-                across += here[1, s] * here[3, s]
-            total[t + 1, 0] = total[t, 0] + along
-            total[t + 1, 1] = total[t, 1] + across
-        for t in range(n_frames):
-            here, squared = room[t], far[t]
-            low, high = max(t - half, 0), min(t + half + 1, n_frames)
-            along, across = total[high, 0] - total[low, 0], total[high, 1] - total[low, 1]
-            size = max(math.sqrt(along * along + across * across), 1e-12)
-            along, across = along / size, across / size
-            turn[t, 0], turn[t, 1] = along, across
-            for s in range(9):
-                squared[s] = max(here[2, s] - 2.0 * (here[0, s] * along + here[1, s] * across), 0.0)
-                share = 1.0 / (1.0 + squared[s] / scale)
-                here[3, s] = here[4, s] * share * share
-
-
 @kernel
 def _measure_lags(
     ours: FloatArray,
@@ -206,22 +156,46 @@ def _measure_lags(
     room: FloatArray,
     total: FloatArray,
     far: FloatArray,
-    turn: FloatArray,
     squared: NDArray[np.float32],
     yaw: FloatArray,
 ) -> None:  # pragma: no cover - compiled
-    """Do `measure_deviations` into ``squared`` and ``yaw``; the four before are room, see `_measure_lag`."""
+    """Do `measure_deviations` into ``squared`` and ``yaw``; room: (T, 5, 9), ``total`` (T + 1, 2), ``far`` (T, 9)."""
     n_frames, n_lags = squared.shape[:2]
     for k in range(n_lags):
-        there, shown = theirs[k : k + n_frames], theirs_seen[k : k + n_frames]
-        _measure_lag(ours, there, ours_seen, shown, weights, half, scale, room, total, far, turn)
+        for t in range(n_frames):
+            here, a, b = room[t], ours[t], theirs[k + t]
+            for s in range(9):
+                here[4, s] = weights[s] if ours_seen[t, s] and theirs_seen[k + t, s] else 0.0
+                here[0, s] = a[s, 2] * b[s, 2] + a[s, 0] * b[s, 0]  # along
+                here[1, s] = a[s, 0] * b[s, 2] - a[s, 2] * b[s, 0]  # across
+                here[2, s] = 2.0 - 2.0 * a[s, 1] * b[s, 1]  # upright
+                here[3, s] = here[4, s]  # trust
+        total[0, 0] = total[0, 1] = 0.0
+        for _ in range(4):  # each time what is off loses more of its say
+            for t in range(n_frames):
+                here = room[t]
+                along, across = 0.0, 0.0
+                for s in range(9):
+                    along += here[0, s] * here[3, s]
+                    across += here[1, s] * here[3, s]
+                total[t + 1, 0] = total[t, 0] + along
+                total[t + 1, 1] = total[t, 1] + across
+            for t in range(n_frames):
+                here = room[t]
+                low, high = max(t - half, 0), min(t + half + 1, n_frames)
+                along, across = total[high, 0] - total[low, 0], total[high, 1] - total[low, 1]
+                size = max(math.sqrt(along * along + across * across), 1e-12)
+                along, across = along / size, across / size
+                if k == n_lags // 2:
+                    yaw[t] = math.atan2(across, along)
+                for s in range(9):
+                    far[t, s] = max(here[2, s] - 2.0 * (here[0, s] * along + here[1, s] * across), 0.0)
+                    share = 1.0 / (1.0 + far[t, s] / scale)
+                    here[3, s] = here[4, s] * share * share
         for t in range(n_frames):
             for s in range(9):
-                seen = ours_seen[t, s] and shown[t, s]
+                seen = ours_seen[t, s] and theirs_seen[k + t, s]
                 squared[t, k, s] = max(far[t, s], _SMALLEST_SEEN) if seen else 0.0
-        if k == n_lags // 2:
-            for t in range(n_frames):
-                yaw[t] = math.atan2(turn[t, 1], turn[t, 0])
 
 
 def measure_deviations(
@@ -252,6 +226,6 @@ def measure_deviations(
     n_frames, n_lags = len(ours), len(theirs) - len(ours) + 1
     motions = (np.ascontiguousarray(one) for one in (ours, theirs, ours_seen, theirs_seen))
     squared, yaw = np.empty((n_frames, n_lags, 9), np.float32), np.zeros(n_frames)
-    shapes = (n_frames, 5, 9), (n_frames + 1, 2), (n_frames, 9), (n_frames, 2)
+    shapes = (n_frames, 5, 9), (n_frames + 1, 2), (n_frames, 9)
     _measure_lags(*motions, weights, half, float(scale), *map(np.empty, shapes), squared, yaw)
     return squared, yaw
