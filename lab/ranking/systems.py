@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 
 from dousa.experiments.runner import Steps, describe_copies, fit_forest, make_forest
 from dousa.messages import Message, Progress
-from dousa.retrieval.ranking.ranking import RANKINGS, RankedClips, RankingQuery, rank_clips
+from dousa.retrieval.ranking.ranking import RANKINGS
+from lab.ranking.dense import Gallery, rank_clips
 
 if TYPE_CHECKING:
     from dousa.retrieval.features.feature_sets import FeatureSet
@@ -203,20 +204,20 @@ def _train_forest(
     labels: NDArray[np.str_],
     settings: RankingSettings,
     seed: int,
-) -> tuple[MotionForest, RankedClips]:
+) -> tuple[MotionForest, Gallery]:
     features = settings.feature_set
     forest = make_forest(features, settings.n_trees, seed, settings.n_jobs)
     fit_forest(forest, material.features, gallery, labels, material.copies, features)
     leaves = forest.apply(material.features[gallery])
     poses = np.ascontiguousarray(material.sequences[gallery])
-    return forest, RankedClips(forest.histograms_of(leaves), leaves.astype(np.int32), poses.__getitem__)
+    return forest, Gallery(forest.histograms_of(leaves), leaves, poses)
 
 
 def _rank_by_forest(
-    by: str, forest: MotionForest, clips: RankedClips, material: RankingMaterial, query: int
+    by: str, forest: MotionForest, clips: Gallery, material: RankingMaterial, query: int
 ) -> NDArray[np.intp]:
     leaves = forest.apply(material.features[query : query + 1])
-    asked = RankingQuery(forest.histograms_of(leaves)[0], leaves[0].astype(np.int32), material.sequences[query])
+    asked = forest.histograms_of(leaves)[0], leaves[0], material.sequences[query]
     return rank_clips(by, asked, clips).order
 
 

@@ -237,7 +237,6 @@ def _grow(room: Room, kind: Any, arrays: np.ndarray, categories: Sequence[str]) 
         room.record.put(f"{place}.leaves", forest.apply(arrays))
         for histogram in ("votes", "leaves"):
             room.record.put(f"{place}.{histogram}", forest.predict_proba(arrays, histogram))
-        room.record.put(f"{place}.decisions", forest.decisions(arrays[3]))
     room.record.put("calibration", retrieval.learn_calibration(
         forest, arrays[trains], np.array(categories)[trains], feature_set=kind
     ).to_bytes())  # fmt: skip

@@ -14,6 +14,7 @@ import argparse
 import re
 import tempfile
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,7 +22,7 @@ import numpy as np
 
 from dousa.library import ClipInfo, Library, SearchResult
 from dousa.library.search import search as search_room
-from dousa.library.search.leaf_index import LeafIndex
+from dousa.library.search.part_search import Group
 
 SETS = {
     "hdm05": "name:HDM_(..)_",
@@ -102,23 +103,24 @@ def search(library: Library, query: object, k: int, cosines: bool) -> SearchResu
     """The answer; or as it would be without the angle, and with equal clips in a random order, not in that of paths."""
     if cosines:
         return library.search(query, k)  # type: ignore[arg-type]
-    usual = search_room.search_index
+    usual = search_room.rank_groups
 
-    def search_blindly(index: LeafIndex, *asked):  # type: ignore[no-untyped-def]
+    def search_blindly(groups: Sequence[Group], *asked):  # type: ignore[no-untyped-def]
+        index = groups[0].index
         names = np.random.default_rng(1).permutation(len(index.living)).astype(">u4")
         ends = 4 * np.arange(1, len(names) + 1)
         parts = [
             replace(part, directions=None, path_ends=ends[: len(part)], path_bytes=names[a:b].view(np.uint8))
             for part, a, b in zip(index.parts, index.starts[:-1], index.starts[1:], strict=True)
         ]
-        hits, _ = usual(replace(index, parts=tuple(parts)), *asked)
-        return [replace(hit, path="") for hit in hits], None
+        hits, _ = usual([replace(groups[0], index=replace(index, parts=tuple(parts)))], *asked)
+        return tuple(replace(hit, path="") for hit in hits), None
 
-    search_room.search_index = search_blindly
+    search_room.rank_groups = search_blindly
     try:
         return library.search(query, k)  # type: ignore[arg-type]
     finally:
-        search_room.search_index = usual
+        search_room.rank_groups = usual
 
 
 def main() -> None:

@@ -29,13 +29,14 @@ from dousa.app.pipelines.experiment_clips import read_labelled_clips
 from dousa.formats import ReadOptions
 from dousa.library import Library
 from dousa.motion import CANONICAL_JOINTS, JOINT_INDEX
-from dousa.retrieval import FEATURE_SETS, MotionForest, RankedClips, RankingQuery, compute_pose_sequence, rank_clips
+from dousa.retrieval import FEATURE_SETS, MotionForest, compute_pose_sequence
 from dousa.retrieval.features.channels import sample_positions
 from dousa.retrieval.features.feature_sets import FeatureSet
 from dousa.retrieval.features.pose_features import turn_to_body
 from dousa.retrieval.features.posed_motion import hide_joints
 from dousa.retrieval.ranking.ranking import compute_with_poses, warp_distances
 from lab.places import SHARED_DATA
+from lab.ranking.dense import Gallery, rank_clips
 
 DATA = SHARED_DATA
 SETS = {
@@ -114,11 +115,11 @@ def measure(clips: list, hidden: tuple[str, ...], n_seeds: int) -> dict[str, np.
         for seed in range(n_seeds):
             forest = grow(kind, features[train], labels[train], seed)
             leaves, votes = forest.apply(features), forest.predict_proba(features)
-            gallery = RankedClips(votes[train], leaves[train], lambda rows, some=train: poses[some[rows]])
+            gallery = Gallery(votes[train], leaves[train], poses[train])
             guesses = forest.predict(features[test])
             naive = grow(whole, full[train], labels[train], seed)
             for row, clip in enumerate(test):
-                order = rank_clips("fused", RankingQuery(votes[clip], leaves[clip], poses[clip]), gallery).order
+                order = rank_clips("fused", (votes[clip], leaves[clip], poses[clip]), gallery).order
                 right = float(guesses[row] == labels[clip])
                 found["forest"].append((right, score(order, labels[train], labels[clip])[1]))
             found["whole forest, means"] += [

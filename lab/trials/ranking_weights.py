@@ -29,7 +29,8 @@ from dousa.formats import ReadOptions
 from dousa.retrieval import MotionForest
 from dousa.retrieval.features.feature_sets import FEATURE_SETS
 from dousa.retrieval.features.posed_motion import LabelledClip
-from dousa.retrieval.ranking.ranking import RankedClips, RankingQuery, rank_clips, warp_distances
+from dousa.retrieval.ranking.ranking import warp_distances
+from lab.ranking.dense import Gallery, rank_clips
 from lab.ranking.metrics import score_ranking
 from lab.ranking.systems import describe_clips
 
@@ -68,10 +69,10 @@ class Trials:
         leaves = forest.apply(features).astype(np.int32)
         votes, poses = forest.histograms_of(leaves), self.material.sequences
         gallery = np.random.default_rng(seed).permutation(gallery)
-        clips = RankedClips(votes[gallery], leaves[gallery], poses[gallery].__getitem__)
+        clips = Gallery(votes[gallery], leaves[gallery], poses[gallery])
         for query in queries:
             relevant = self.categories[gallery] == self.categories[query]
-            answer = rank_clips("fused", RankingQuery(votes[query], leaves[query], poses[query]), clips, len(gallery))
+            answer = rank_clips("fused", (votes[query], leaves[query], poses[query]), clips, len(gallery))
             distances = np.stack([answer.histogram / np.sqrt(2), answer.leaves, answer.pose])
             orders = np.argsort(np.array(WEIGHTS) @ distances, axis=1, kind="stable")
             if self.warped is not None:

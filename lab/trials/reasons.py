@@ -20,6 +20,7 @@ import numpy as np
 from dousa.app.pipelines.experiment_clips import read_labelled_clips
 from dousa.formats import ReadOptions
 from dousa.retrieval import Explainer, MotionForest
+from dousa.retrieval.explain.explanation import read_questions
 from dousa.retrieval.features.feature_sets import FEATURE_SETS, FeatureSet
 
 SWAPS = 20
@@ -40,9 +41,8 @@ class Trial:
 
     def __init__(self, features: FeatureSet, forest: MotionForest, training: np.ndarray, seed: int) -> None:
         self.features, self.forest, self.training = features, forest, training
-        self.explainer = Explainer(forest)
+        self.explainer, self.questions = Explainer(forest), read_questions(forest)
         self.random = np.random.default_rng(seed)
-        self.relations = {channel.name: channel.relation for channel in features.channels}
 
     def swap(self, clip: np.ndarray, relation: str, number: int) -> float:
         """The mean vote for a category, with the relation of other clips."""
@@ -59,7 +59,9 @@ class Trial:
         seconds = time.perf_counter() - start
         without = self.explainer.votes_without(clip)
         number = self.forest.classes_.tolist().index(told.category)
-        asked = Counter(self.relations.get(d.feature, d.feature) for d in self.forest.decisions(clip))
+        above = self.questions.evaluate(clip) > self.questions.threshold
+        nodes, _ = self.questions.follow(above, np.ones(len(self.forest.trees_.roots), bool))
+        asked = Counter(self.questions.relations[number] for number in self.questions.relation[nodes])
         often, any_one = asked.most_common(1)[0][0], str(self.random.choice(list(without)))
         first = told.reasons[0].relation if told.reasons else ""
         return {

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,23 +11,30 @@ from oracles.dense_clips import NO_FEATURES, make_clips
 from dousa.errors import OptionError
 from dousa.formats.registry import read_motion, write_motion
 from dousa.library import Library
-from dousa.library.search.ranking import Asked, search_index
+from dousa.library.search.part_search import Group, rank_groups
+from dousa.library.search.ranking import Asked
 from dousa.library.store.forests import TreeAnswers
 from dousa.motion import canonicalise, compute_trajectories
 from dousa.motion.canonical.canonicalise import mirror_canonical
 from dousa.retrieval.ranking.ranking import RANKINGS
 from made_clips import write_clip, write_clips
 
+WHOLE = SimpleNamespace(hidden=())
+
+
+def search_index(index, asked, k, by, clips):
+    return rank_groups([Group(WHOLE, index, index.living, clips.read_poses)], lambda _: asked, k, by)
+
 
 @pytest.mark.parametrize("by", RANKINGS)
 def test_a_motion_and_its_mirror_image_are_merged(by):
     clips = make_clips(5, 60)
     index, both = clips.make_index(), [clips.ask(10), clips.ask(20, mirrored=True)]
-    hits, n_alike = search_index(index, both, 60, by, None, clips.read_poses)
+    hits, n_alike = search_index(index, both, 60, by, clips)
     assert sorted(hit.clip_id for hit in hits) == clips.ids.tolist()
     alike: set[int] = set()
     for one in both:
-        alone, _ = search_index(index, [one], 60, by, None, clips.read_poses)
+        alone, _ = search_index(index, [one], 60, by, clips)
         alike |= {hit.clip_id for hit in alone if hit.alike}
         own = {hit.clip_id: hit.rank_distance for hit in alone}
         assert all(hit.rank_distance == own[hit.clip_id] for hit in hits if hit.mirrored == one.mirrored)
@@ -37,7 +45,7 @@ def test_nothing_is_found_among_nothing():
     clips = make_clips(6, 0)
     answers = TreeAnswers(np.array([[6 * 64, 0, 0, 0]], np.int32), np.zeros((1, 6), np.int32), clips.categories)
     asked = Asked(answers, NO_FEATURES, np.zeros((4, 3), np.float32))
-    assert search_index(clips.make_index(), [asked], 3, "leaves", None, clips.read_poses)[0] == ()
+    assert search_index(clips.make_index(), [asked], 3, "leaves", clips)[0] == ()
 
 
 def test_an_unknown_ranking_is_refused(library):

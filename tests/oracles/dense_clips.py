@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
+from oracles import hamada
 
 from dousa.library.search.leaf_index import LeafIndex
 from dousa.library.search.parts import ClipPart, SparseVotes, encode_rows
@@ -11,7 +12,7 @@ from dousa.library.search.ranking import Asked
 from dousa.library.store.forests import TreeAnswers
 from dousa.retrieval.forest.likeness import Likeness, merge_votes
 from dousa.retrieval.forest.pose_space import Curve
-from dousa.retrieval.ranking.ranking import RankedClips, RankingQuery, rank_clips
+from dousa.retrieval.ranking.ranking import N_REFINED, rank_by_pose
 
 N_PARTS = 64
 NO_FEATURES = np.zeros((1, 0, 0))
@@ -70,20 +71,37 @@ class DenseClips:
         cosines = None
         if self.directions is not None:
             cosines = np.round(self.directions[rows].astype(float) @ self.directions[row].astype(float), 6)
-        clips = RankedClips(self.votes[rows], self.leaves[rows], lambda some: self.poses[rows[some]], cosines)
-        query = RankingQuery(self.votes[row], self.leaves[row], self.poses[row])
-        ranking, chances = rank_clips(by, query, clips), self.chances(row)
-        order, alike = ranking.order, None
+        order, histograms, leaves, poses, distances = self._rank_all(row, rows, by, cosines)
+        chances, alike = self.chances(row), None
         if chances is not None:
             alike = chances[rows] >= self.likeness.threshold
             if by == "fused":
                 order = order[np.argsort(~alike[order], kind="stable")]
         told = [
-            (int(self.ids[rows[p]]), ranking.histogram[p], ranking.leaves[p], ranking.pose[p], ranking.distances[p],
+            (int(self.ids[rows[p]]), histograms[p], leaves[p], poses[p], distances[p],
              None if alike is None else bool(alike[p]), None if chances is None else chances[rows[p]])
             for p in order[:k]
         ]  # fmt: skip
         return told, None if alike is None else int(alike.sum())
+
+    def _rank_all(self, row, rows, by, cosines):
+        """The order of some rows, and their distances: eq. 8, leaves, poses of the first 64, and what orders them."""
+        total = int(self.votes[row].sum())
+        histograms = np.array([hamada.distance(self.votes[row].tolist(), self.votes[p].tolist()) for p in rows]) / total
+        leaves = (self.leaves[rows] != self.leaves[row]).sum(axis=1) / self.leaves.shape[1]
+        poses = np.full(len(rows), np.nan)
+        if by in ("histogram", "leaves"):
+            first, second = (histograms, leaves) if by == "histogram" else (leaves, histograms)
+            return np.lexsort((second, first)), histograms, leaves, poses, first
+        cheap = histograms * 2**-0.5 + 0.5 * leaves + (0 if cosines is None else 0.5 * (1.0 - cosines))
+        order = np.argsort(cheap, kind="stable")
+        refined = order[:N_REFINED]
+        if len(refined):
+            poses[refined] = rank_by_pose(self.poses[row], self.poses[rows[refined]])[1]
+        worst = poses[refined].max(initial=0.0)
+        distances = poses if by == "pose" else cheap + 8.0 * np.where(np.isnan(poses), worst, poses)
+        order[:N_REFINED] = refined[np.argsort(distances[refined], kind="stable")]
+        return order, histograms, leaves, poses, distances
 
     def make_index(self, *edges, dead=()):
         """The same as a ``LeafIndex`` of parts that begin at some rows; clips in ``dead`` are not as they were."""

@@ -1,7 +1,8 @@
 """What a forest would vote if it knew nothing of some columns: every branch walked, word by word."""
 
+from oracles.node_tests import evaluate_test, read_test
+
 from dousa.retrieval.features.feature_sets import integrate
-from dousa.retrieval.forest.trees import evaluate_test, read_test
 
 
 def count_clips(trees, node):

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles import slow_ablation
+from oracles.node_tests import decide
 
 from dousa.errors import InvalidMotionError, NotTrainedError, OptionError
 from dousa.motion import canonicalise
@@ -65,7 +66,7 @@ def test_the_answers_lead_to_the_leaves_of_the_forest(known):
         above = questions.evaluate(clip) > questions.threshold
         np.testing.assert_array_equal(questions.find_leaves(above), forest.apply(clip[None])[0])
         asked, _ = questions.follow(above, np.ones(len(forest.trees_.roots), bool))
-        assert sorted(asked.tolist()) == sorted(decision.node for decision in forest.decisions(clip))
+        assert sorted(asked.tolist()) == sorted(decision.node for decision in decide(forest, clip))
 
 
 def test_every_reason_lowers_the_vote_and_says_by_how_much(known):
@@ -95,7 +96,7 @@ def test_every_reason_lowers_the_vote_and_says_by_how_much(known):
 def test_the_numbers_of_a_reason_are_those_of_one_decision(known):
     forest, pose, _, durations = known
     for clip, duration in zip(pose, durations, strict=True):
-        decisions = [(d.feature, d.kind, d.threshold, d.value, d.start, d.stop) for d in forest.decisions(clip)]
+        decisions = [(d.feature, d.kind, d.threshold, d.value, d.start, d.stop) for d in decide(forest, clip)]
         for reason in Explainer(forest).explain(clip, duration).reasons:
             cells = (round(10 * reason.start / duration), round(10 * reason.end / duration))
             assert any(

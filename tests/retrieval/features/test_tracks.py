@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from oracles.node_tests import decide
 from oracles.standing import standing
 
 from dousa.errors import InvalidMotionError
@@ -128,7 +129,7 @@ def test_a_track_of_other_features_is_refused():
 def test_decisions_tell_means_spreads_and_trends():
     forest, features = make_forest(EXTENDED)
     kinds = set()
-    for decision in forest.decisions(features[0]):
+    for decision in decide(forest, features[0]):
         cells = features[0][decision.start : decision.stop]
         column = EXTENDED.column_names.index(decision.feature)
         values, time = cells[:, column], cells[:, 173:].mean(axis=0)

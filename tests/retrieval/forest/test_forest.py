@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from oracles import hamada
 
 from dousa.errors import InvalidMotionError, NotTrainedError, OptionError, TrainingError
-from dousa.retrieval import FEATURE_NAMES, FEATURE_SETS, MotionForest, integrate, list_tests
+from dousa.retrieval import FEATURE_SETS, MotionForest, integrate, list_tests
 from dousa.retrieval.forest import trees as trees_module
 
 
@@ -218,20 +218,6 @@ def test_bootstrap_leaves_some_clips_out():
     assert forest.trees_.leaf_counts.sum() == plain.trees_.leaf_counts.sum() == 4 * 60
     assert (forest.predict(pose) == categories).mean() > 0.8
     assert forest.trees_.n_leaves != plain.trees_.n_leaves
-
-
-def test_decisions_say_in_words_what_led_to_the_leaf():
-    random = np.random.default_rng(0)
-    pose, categories = random.normal(size=(40, 10, 56)), np.arange(40) % 3
-    forest = MotionForest(n_trees=3, random_state=0).fit(pose, categories)
-    asked = forest.decisions(pose[0])
-    assert {decision.tree for decision in asked} == {0, 1, 2}
-    for decision in asked:
-        i = FEATURE_NAMES.index(decision.feature)
-        assert decision.value == pytest.approx(pose[0, decision.start : decision.stop, i].mean())
-        assert decision.above == (decision.value > decision.threshold)
-    named = MotionForest(n_trees=1).fit(pose[:, :, :2], categories, feature_names=["speed", "height"])
-    assert named.decisions(pose[0, :, :2])[0].feature in ("speed", "height")
 
 
 def test_leaves_are_numbered_through_all_trees():

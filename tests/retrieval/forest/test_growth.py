@@ -10,12 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles import plain_novelty as slow
+from oracles.node_tests import decide, evaluate_test, read_test
 
 from dousa.errors import InvalidMotionError, NotTrainedError, TrainingError
 from dousa.retrieval import FEATURE_SETS, MotionForest, integrate
 from dousa.retrieval.forest import growth, standing_leaves, trees
 from dousa.retrieval.forest.growth import StandingClips, grow_forest
-from dousa.retrieval.forest.trees import evaluate_test, prepare_leaves, read_test
+from dousa.retrieval.forest.trees import prepare_leaves
 
 
 def make_clips(seed=0, n_categories=6, each=6, spread=0.6, frames=3, columns=4):
@@ -113,7 +114,7 @@ def decisions_of(forest, features):
     return [
         [
             (one.tree, one.feature, one.kind, one.start, one.stop, one.threshold, one.value)
-            for one in forest.decisions(clip)
+            for one in decide(forest, clip)
         ]
         for clip in features
     ]

@@ -7,7 +7,7 @@ compared counts as the median distance, so legs alone are not nearer than a whol
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -18,9 +18,9 @@ from dousa.arrays import BoolArray, FloatArray
 from dousa.library.results import Hit
 from dousa.library.search.leaf_index import LeafIndex
 from dousa.library.search.part_forests import PartForests
-from dousa.library.search.ranking import PoseReader, ask_forest, rank_rows
+from dousa.library.search.ranking import Asked, PoseReader, RankedRows, choose_best, number_hits, rank_rows
 from dousa.library.store.engine import Database
-from dousa.library.store.features import StoredMotion, find_feature_set, load_poses
+from dousa.library.store.features import find_feature_set, load_poses
 from dousa.library.store.forests import StoredForest
 from dousa.messages import Progress
 from dousa.retrieval.features.posed_motion import count_placed, is_comparable
@@ -79,31 +79,48 @@ def _read_poses(database: Database, main: StoredForest, ids: Sequence[int]) -> N
 
 def rank_groups(
     groups: Sequence[Group],
-    motions: Sequence[StoredMotion],
+    ask: Callable[[Group], Sequence[Asked]],
     k: int,
     by: str,
-    category: str | None,
-    among: frozenset[int] | None,
-) -> list[Hit]:
-    """Return the first k clips of every group, with distances that are comparable between groups.
+    category: str | None = None,
+    among: Collection[int] | None = None,
+) -> tuple[tuple[Hit, ...], int | None]:
+    """Find the k clips that are most like a motion, or like its mirror image, with comparable distances.
 
-    ``motions`` : the query, and its mirror image if wanted.
-    ``by``, ``category``, ``among`` : as in ``search_index``.
+    OptionError for an unknown ranking.
+
+    Parameters
+    ----------
+    ask : returns the motion, and its mirror image if wanted, as the forest of a group sees them.
+    by : one of ``dousa.retrieval.ranking.ranking.RANKINGS``.
+    category, among : search only clips of this category, or of these numbers; None for all.
+
+    Returns
+    -------
+    The clips, and the number of all that are similar; None if likeness was not learned, or there are several groups.
     """
-    found: list[Hit] = []
-    for number, motion in enumerate(motions):
-        ranked = []
-        for group in groups:
-            chosen = group.chosen & group.index.choose(category, among)
-            asked = ask_forest(group.stored, motion, mirrored=bool(number))
-            found_here = rank_rows(group.index, asked, int(chosen.sum()), by, chosen, group.read_poses)
-            median, hidden = _find_median(found_here.distances), group.stored.hidden
-            ranked.append((count_placed(hidden), hidden, found_here.hits(k), median))
-        most, _, _, typical = max(ranked, key=lambda one: one[0], default=(1, (), [], 0.0))
-        for n_placed, hidden, hits, _ in ranked:
-            share = n_placed / most
-            found += [replace(_blend(hit, share, typical), hidden=hidden) for hit in hits]
-    return found
+    ranked: list[list[tuple[Group, RankedRows]]] = []
+    for group in groups:
+        chosen = group.chosen & group.index.choose(category, among)
+        count = k if len(groups) == 1 else int(chosen.sum())  # several groups need the median of all distances
+        rows = (rank_rows(group.index, one, count, by, chosen, group.read_poses) for one in ask(group))
+        ranked.append([(group, found) for found in rows])
+    hits = [hit for side in zip(*ranked, strict=True) for hit in _make_comparable(side, k)]
+    if len(ranked) != 1:
+        return choose_best(hits, k), None
+    similar = [found.similar for _, found in ranked[0] if found.similar is not None]
+    n_alike = len(np.unique(np.concatenate(similar))) if len(similar) == len(ranked[0]) else None
+    return number_hits(hits) if len(ranked[0]) == 1 else choose_best(hits, k), n_alike
+
+
+def _make_comparable(ranked: Sequence[tuple[Group, RankedRows]], k: int) -> Iterator[Hit]:
+    """Yield the first k clips of every group, with distances that are comparable between groups."""
+    placed = [count_placed(group.stored.hidden) for group, _ in ranked]
+    most = max(placed)
+    typical = _find_median(ranked[placed.index(most)][1].distances)
+    for (group, found), n_placed in zip(ranked, placed, strict=True):
+        for hit in found.hits(k):
+            yield replace(_blend(hit, n_placed / most, typical), hidden=group.stored.hidden)
 
 
 def _find_median(distances: FloatArray) -> float:

@@ -7,7 +7,7 @@ equals are sorted by path.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 
@@ -58,39 +58,6 @@ def ask_forest(stored: StoredForest, motion: StoredMotion, mirrored: bool = Fals
     described = describe_clip(motion, stored.feature_set)
     features = described.features[None]
     return Asked(ask_trees(stored, features), features, described.poses, mirrored)
-
-
-def search_index(
-    index: LeafIndex,
-    asked: Sequence[Asked],
-    k: int,
-    by: str,
-    category: str | None,
-    read_poses: PoseReader,
-    among: Collection[int] | None = None,
-) -> tuple[tuple[Hit, ...], int | None]:
-    """Find the k clips that are most like a motion, or like its mirror image.
-
-    OptionError for an unknown ranking.
-
-    Parameters
-    ----------
-    asked : the motion, and its mirror image if wanted.
-    by : one of ``dousa.retrieval.ranking.ranking.RANKINGS``.
-    category : search only this category; None for all.
-    read_poses : called at most once for each motion.
-    among : search only clips of these numbers; None for all.
-
-    Returns
-    -------
-    The clips, and the number of all that are similar; None if likeness was not learned.
-    """
-    chosen = index.choose(category, among)
-    found = [rank_rows(index, one, k, by, chosen, read_poses) for one in asked]
-    similar = [one.similar for one in found if one.similar is not None]
-    hits = [hit for one in found for hit in one.hits(k)]
-    n_alike = len(np.unique(np.concatenate(similar))) if similar and len(similar) == len(found) else None
-    return number_hits(hits) if len(found) == 1 else choose_best(hits, k), n_alike
 
 
 def _number_or_none(value: np.float64) -> float | None:

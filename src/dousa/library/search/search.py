@@ -18,8 +18,8 @@ from dousa.formats.motion_files import ReadOptions, Skipped, find_motion_files, 
 from dousa.library.results import Classification, Hit, SearchResult, Verdict
 from dousa.library.search.leaf_index import LeafIndex
 from dousa.library.search.part_forests import PartForests
-from dousa.library.search.part_search import group_clips, rank_groups
-from dousa.library.search.ranking import Asked, ask_forest, choose_best, search_index
+from dousa.library.search.part_search import Group, group_clips, rank_groups
+from dousa.library.search.ranking import Asked, ask_forest
 from dousa.library.search.renewal import load_index
 from dousa.library.store import schema
 from dousa.library.store.engine import Database
@@ -95,6 +95,14 @@ def list_sides(stored: StoredForest, motion: StoredMotion, mirror: bool | None) 
     return [motion, motion.mirror()] if mirror or (mirror is None and chooses) else [motion]
 
 
+def _ask(
+    stored: StoredForest, motion: StoredMotion | None, mirror: bool | None
+) -> tuple[list[StoredMotion], list[Asked]]:
+    """List the sides of a motion, and what a forest says of each; nothing of no motion."""
+    sides = [] if motion is None else list_sides(stored, motion, mirror)
+    return sides, [ask_forest(stored, one, mirrored=number > 0) for number, one in enumerate(sides)]
+
+
 def choose_side(verdicts: Sequence[Verdict], mirror: bool | None) -> tuple[slice, tuple[Message, ...]]:
     """Choose which of the sides of ``list_sides`` are answered about, and what is said of that: one if not asked."""
     if mirror is not None or len(verdicts) < 2:
@@ -165,95 +173,74 @@ class Searcher:
             if clip_id is None:
                 assert not isinstance(query, int)
                 motion, doubts = read_rounded(query, options)
-                name, doubts = (
-                    name_query(query),
-                    (*doubts, *note_long(motion.duration, lambda: _read_usual(connection))),
-                )
+                name = name_query(query)
+                doubts = (*doubts, *note_long(motion.duration, lambda: _read_usual(connection)))
             else:
                 name, doubts = self._name(connection, index, query), read_doubts(connection, clip_id)
                 if wanted.mirror or wanted.explain or index.partial:
                     (motion,) = load_motions(connection, [clip_id])
+                wanted = replace(wanted, mirror=bool(wanted.mirror))
             whole = motion is None or not lacks(stored.feature_set, " ".join(motion.absent))
             if whole and not index.partial:
-                found = self._search_whole(connection, index, stored, (name, clip_id, motion), wanted)
-                return replace(found, notes=(*doubts, *found.notes))
+                read_poses = partial(self._read_poses, connection, stored.feature_set)
+                groups = [Group(stored, index, index.living, read_poses)]
+                sides, asked = _ask(stored, motion, wanted.mirror)
+                if clip_id is not None:
+                    features = load_features(connection, stored.feature_set, [clip_id]).features
+                    asked = [Asked(index.answers_of(clip_id), features, read_poses([clip_id])[0]), *asked[1:]]
+                found = self._answer(connection, name, (stored, groups), (sides, asked), wanted)
+                hits = tuple(replace(hit, hidden=()) for hit in found.results)  # no body lacks what the forest uses
+                return replace(found, results=hits, notes=(*doubts, *found.notes))
         assert motion is not None
-        found = self._search_parts(stored, index, (name, motion), wanted, progress)
-        return replace(found, notes=(*doubts, *found.notes))
-
-    def _search_whole(
-        self,
-        connection: sa.Connection,
-        index: LeafIndex,
-        stored: StoredForest,
-        query: tuple[str, int | None, StoredMotion | None],
-        wanted: Wanted,
-    ) -> SearchResult:
-        """Search where all bodies have the joints of the forest; ``query`` is its name, number and motion."""
-        name, clip_id, motion = query
-        mirror = bool(wanted.mirror) if clip_id is not None else wanted.mirror
-        sides = [] if motion is None else list_sides(stored, motion, mirror)
-        if clip_id is None:
-            asked = [ask_forest(stored, sides[0])]
-        else:
-            features = load_features(connection, stored.feature_set, [clip_id]).features
-            poses = self._read_poses(connection, stored.feature_set, [clip_id])[0]
-            asked = [Asked(index.answers_of(clip_id), features, poses)]
-        asked += [ask_forest(stored, one, mirrored=True) for one in sides[1:]]
-        verdicts = [judge(stored, one.answers, one.features, wanted.threshold)[0] for one in asked]
-        chosen, notes = choose_side(verdicts, mirror)
-        asked, verdicts, sides = asked[chosen], verdicts[chosen], sides[chosen]
-        category = verdicts[0].guess if wanted.same_category else None
-        read_poses = partial(self._read_poses, connection, stored.feature_set)
-        hits, n_alike = search_index(index, asked, wanted.k, wanted.ranking, category, read_poses, wanted.among)
-        if wanted.explain:
-            assert motion is not None
-            explaining = Explaining(stored)
-            verdicts = explaining.verdicts(verdicts, sides)
-            found = load_motions(connection, [hit.clip_id for hit in hits])
-            hits = tuple(explaining.hit(hit, motion, other) for hit, other in zip(hits, found, strict=True))
-        mirrored = verdicts[1] if wanted.mirror else None
-        return SearchResult(name, verdicts[0], hits, wanted.ranking, mirrored, notes, n_alike)
-
-    def _search_parts(
-        self,
-        stored: StoredForest,
-        index: LeafIndex,
-        query: tuple[str, StoredMotion],
-        wanted: Wanted,
-        progress: Progress | None,
-    ) -> SearchResult:
-        """Search where the query or some of the clips lack joints of the library's forest.
-
-        InvalidMotionError if the body lacks too many joints, or too few clips have those that are left.
-        """
-        name, motion = query
         part, note = self._parts.choose(stored, motion.absent, progress)
         if part is None:
             assert note is not None
             raise InvalidMotionError(note)
-        notes = [] if note is None else [note]
-        motions = list_sides(part, motion, wanted.mirror)
-        asked = [ask_forest(part, one) for one in motions]
-        verdicts = [judge(part, one.answers, one.features, wanted.threshold)[0] for one in asked]
-        chosen, said = choose_side(verdicts, wanted.mirror)
-        motions, verdicts, notes = motions[chosen], verdicts[chosen], [*notes, *said]
+        query_seen = _ask(part, motion, wanted.mirror)
         groups, n_left_out = group_clips(self._database, self._parts, stored, index, motion.absent, progress)
+        with self._database.reading() as connection:
+            found = self._answer(connection, name, (part, groups), query_seen, wanted)
+        notes = [*doubts, *([] if note is None else [note]), *found.notes]
+        others = sum(hit.hidden != part.hidden for hit in found.results)
+        notes += [Message("partial.some_hits", n=others)] if others else []
+        notes += [Message("partial.left_out", n=n_left_out)] if n_left_out else []
+        return replace(found, notes=tuple(notes), alike_count=None)
+
+    def _answer(
+        self,
+        connection: sa.Connection,
+        name: str,
+        among: tuple[StoredForest, Sequence[Group]],
+        query: tuple[Sequence[StoredMotion], Sequence[Asked]],
+        wanted: Wanted,
+    ) -> SearchResult:
+        """Judge a query, and find what is most like it.
+
+        ``among`` : the forest that judges it, and the clips by the joints that they share with it.
+        ``query`` : the motion and perhaps its mirror image, as of ``list_sides`` (none of a stored clip whose numbers
+        suffice), and what that forest says of each.
+        """
+        stored, groups = among
+        sides, asked = query
+        verdicts = [judge(stored, one.answers, one.features, wanted.threshold)[0] for one in asked]
+        chosen, notes = choose_side(verdicts, wanted.mirror)
+        verdicts, own, motions = verdicts[chosen], asked[chosen], sides[chosen]
         category = verdicts[0].guess if wanted.same_category else None
-        ranked = rank_groups(groups, motions, wanted.k, wanted.ranking, category, wanted.among)
-        hits = choose_best(ranked, wanted.k)
+
+        def ask(group: Group) -> Sequence[Asked]:
+            if group.stored is stored:
+                return own
+            return [ask_forest(group.stored, side, one.mirrored) for side, one in zip(motions, own, strict=True)]
+
+        hits, n_alike = rank_groups(groups, ask, wanted.k, wanted.ranking, category, wanted.among)
         if wanted.explain:
-            verdicts = Explaining(part).verdicts(verdicts, motions)
             explaining = {group.stored.hidden: Explaining(group.stored) for group in groups}
-            with self._database.reading() as connection:
-                found = list(load_motions(connection, [hit.clip_id for hit in hits]))
-            hits = tuple(explaining[hit.hidden].hit(hit, motion, other) for hit, other in zip(hits, found, strict=True))
-        if any(hit.hidden != part.hidden for hit in hits):
-            notes.append(Message("partial.some_hits", n=sum(hit.hidden != part.hidden for hit in hits)))
-        if n_left_out:
-            notes.append(Message("partial.left_out", n=n_left_out))
+            verdicts = explaining.setdefault(stored.hidden, Explaining(stored)).verdicts(verdicts, motions)
+            found = load_motions(connection, [hit.clip_id for hit in hits])
+            both = zip(hits, found, strict=True)
+            hits = tuple(explaining[hit.hidden].hit(hit, sides[0], other) for hit, other in both)
         mirrored = verdicts[1] if wanted.mirror else None
-        return SearchResult(name, verdicts[0], hits, wanted.ranking, mirrored, tuple(notes))
+        return SearchResult(name, verdicts[0], hits, wanted.ranking, mirrored, notes, n_alike)
 
     def _name(self, connection: sa.Connection, index: LeafIndex, query: Query) -> str:
         if not isinstance(query, int):

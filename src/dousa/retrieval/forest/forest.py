@@ -9,7 +9,6 @@ classifiers by Breiman ("Random forests", Machine Learning 45, 2001) and scikit-
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -17,20 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from dousa.arrays import FloatArray, IntArray
 from dousa.errors import InvalidMotionError, NotTrainedError, OptionError, TrainingError
-from dousa.retrieval.features.feature_sets import FeatureSet, FeatureTrack, integrate, list_tests
+from dousa.retrieval.features.feature_sets import FeatureSet, FeatureTrack, list_tests
 from dousa.retrieval.features.pose_features import FEATURE_NAMES
 from dousa.retrieval.forest import tree_kernels as kernels
 from dousa.retrieval.forest.forest_file import ForestFile, pack_forest, unpack_forest
-from dousa.retrieval.forest.trees import (
-    KIND_NAMES,
-    Trees,
-    TreesSpec,
-    evaluate_test,
-    grow_trees,
-    measure_columns,
-    order_for_trees,
-    read_test,
-)
+from dousa.retrieval.forest.trees import Trees, TreesSpec, grow_trees, measure_columns, order_for_trees
 
 
 def is_whole(value: object) -> bool:
@@ -109,36 +99,6 @@ def check_names(names: Sequence[str] | None, count: int) -> tuple[str, ...]:
     if isinstance(names, str) or len(names) != count:
         raise OptionError("forest.names_count", count=count, found=len(names))
     return tuple(str(name) for name in names)
-
-
-@dataclass(frozen=True, slots=True)
-class Decision:
-    """One test of a tree on a clip, and its result.
-
-    Parameters
-    ----------
-    tree : index of the tree, from 0.
-    node : index of the node, counted through all trees.
-    feature : name of the pose feature, or channel.
-    kind : ``"mean"``, ``"spread"`` (standard deviation) or ``"trend"`` (change along the fitted line).
-    start, stop : the interval, frames ``start ... stop - 1`` of the thinned clip, counted from 0.
-    threshold : of the mean, spread or trend of the feature over the interval.
-    value : the same of this clip.
-    """
-
-    tree: int
-    node: int
-    feature: str
-    kind: str
-    start: int
-    stop: int
-    threshold: float
-    value: float
-
-    @property
-    def above(self) -> bool:
-        """Whether the clip lies above the threshold."""
-        return self.value > self.threshold
 
 
 Histogram = Literal["votes", "leaves"]
@@ -237,7 +197,7 @@ class MotionForest:
         ----------
         features : (N, T, F) pose features of the training clips, thinned to T frames; (N + K, T, F) with copies.
         categories : (N,) words or whole numbers; with a single category, that is always predicted.
-        feature_names : (F,) for ``decisions``; those of ``FEATURES`` where F is 56.
+        feature_names : (F,) for explanations; those of ``FEATURES`` where F is 56.
         feature_set : defines the columns and the tests; without one, their means are tested.
         copied : (K,) distinct clips of which the last K are noisy copies. Each tree learns a clip or its copy, half of
             the clips by copies, or fewer where there are not as many, so that the forest does not rely on what noise
@@ -355,22 +315,6 @@ class MotionForest:
             trees.only_means, rows, np.zeros(trees.n_features * (trees.n_frames + 1)), work, leaves,
         )  # fmt: skip
         return leaves
-
-    def decisions(self, clip: ArrayLike) -> list[Decision]:
-        """List every test of one clip (T, F) on its way down all trees, in order."""
-        trees = self._fitted
-        pose = check_features(np.asarray(clip)[None], (trees.n_frames, trees.n_features))
-        integrals = integrate(pose)[0]
-        asked = []
-        for tree, root in enumerate(trees.roots):
-            node = int(root)
-            while trees.nodes[node, 2] >= 0:
-                test = read_test(trees, node)
-                value = evaluate_test(integrals, test)
-                name, kind = self.feature_names_[test.column], KIND_NAMES[test.kind]
-                asked.append(Decision(tree, node, name, kind, test.start, test.stop, test.threshold, value))
-                node = int(trees.nodes[node, 2]) + bool(value > test.threshold)
-        return asked
 
     @property
     def classes_(self) -> NDArray[Any]:

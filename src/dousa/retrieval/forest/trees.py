@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray, IntArray
 from dousa.errors import InvalidMotionError
-from dousa.retrieval.features.feature_sets import MEAN, SPREAD, TREND
 from dousa.retrieval.forest import growing_kernels as kernels
 from dousa.retrieval.forest.tree_kernels import find_leaves
 from dousa.workers.current import current_cluster
@@ -134,45 +133,6 @@ class Trees:
     def leaf_votes(self) -> FloatArray:
         """Return (L,) 1, or 0 for a leaf without clips, which does not vote."""
         return np.maximum.reduceat(self.leaf_counts > 0, self.leaf_starts[:-1]).astype(np.float64)
-
-
-@dataclass(frozen=True, slots=True)
-class Test:
-    """The test of a node over cells ``start`` ... ``stop`` - 1, with the ``threshold`` of its mean, spread or trend.
-
-    ``kind`` is a number, see ``KIND_NAMES``; the partner of a mean is its column.
-    """
-
-    kind: int
-    column: int
-    partner: int
-    start: int
-    stop: int
-    threshold: float
-
-
-def read_test(trees: Trees, node: int) -> Test:
-    """Read the test of an inner node."""
-    width = trees.n_frames + 1
-    later, sooner, partner = int(trees.nodes[node, 0]), int(trees.nodes[node, 1]), int(trees.nodes[node, 3])
-    column, stop = divmod(later, width)
-    start, cut = sooner % width, float(trees.cuts[node, 2])
-    if partner == 0:
-        return Test(MEAN, column, column, start, stop, cut / (stop - start))
-    kind = SPREAD if partner > 0 else TREND
-    return Test(kind, column, column + abs(partner) // width, start, stop, cut)
-
-
-def evaluate_test(integrals: FloatArray, test: Test) -> float:
-    """Compute the value of a test for one clip, from its integrals (F, T + 1)."""
-    length = test.stop - test.start
-    difference = integrals[test.column, test.stop] - integrals[test.column, test.start]
-    if test.kind == MEAN:
-        return float(difference / length)
-    other = integrals[test.partner, test.stop] - integrals[test.partner, test.start]
-    if test.kind == SPREAD:
-        return float(np.sqrt(max(other / length - (difference / length) ** 2, 0.0)))
-    return float(12.0 * (other - 0.5 * (test.start + test.stop) * difference) / length**2)
 
 
 def grow_trees(

@@ -15,15 +15,14 @@ their choice are in docs/ranking.md.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dousa.arrays import FloatArray, IndexArray, IntArray
-from dousa.errors import InvalidMotionError, OptionError
+from dousa.errors import InvalidMotionError
 from dousa.kernels import kernel, part
 from dousa.retrieval.features.channels import CHANNELS, WantedMeans
 from dousa.retrieval.features.feature_sets import FEATURE_SETS, FeatureSet
@@ -92,95 +91,6 @@ N_REFINED = 64
 HISTOGRAM_SCALE, LEAVES_WEIGHT = 2.0**-0.5, 0.5
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RankingQuery:
-    """A query for a ranking.
-
-    Parameters
-    ----------
-    histogram : (C,) votes or shares of the categories; votes give distances without rounding.
-    leaves : (n_trees,) its leaf in each tree.
-    poses : (T, D) its pose sequence, see ``compute_pose_sequence``.
-    """
-
-    histogram: NDArray[np.generic]
-    leaves: NDArray[np.integer]
-    poses: NDArray[np.float32]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RankedClips:
-    """The clips to rank.
-
-    Parameters
-    ----------
-    histograms : (N, C) in the unit of the query.
-    leaves : (N, n_trees)
-    read_poses : returns (n, T, D) of the clips at n places, called once a query; ``__getitem__`` of an array (N, T, D)
-        is enough.
-    cosines : (N,) of the angle to the query, see ``Likeness.place``; None if not learned.
-    """
-
-    histograms: NDArray[np.generic]
-    leaves: NDArray[np.integer]
-    read_poses: Callable[[IndexArray], NDArray[np.float32]]
-    cosines: NDArray[np.floating] | None = None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Ranking:
-    """Clips in order, and their distances from the query.
-
-    Parameters
-    ----------
-    order : (N,) places of the clips, the most similar first.
-    distances : (N,) in the given order of clips; ``distances[order]`` ascends. NaN for ``pose`` without compared poses.
-    histogram : (N,) eq. 8 between shares, 0 to sqrt(2).
-    leaves : (N,) share of the trees with different leaves, 0 to 1.
-    pose : (N,) body heights; NaN where poses were not compared.
-    """
-
-    order: IndexArray
-    distances: FloatArray
-    histogram: FloatArray
-    leaves: FloatArray
-    pose: FloatArray
-
-
-def compare_histograms(query: ArrayLike, histograms: ArrayLike) -> FloatArray:
-    """Return the (N,) Euclidean distances of histograms (N, C) from that of the query (C,), 0 to sqrt(2) for shares.
-
-    InvalidMotionError : shapes that disagree, or values that are not finite.
-    Source: Hamada et al., eq. 8, which the paper calls a similarity and sorts descending, although it is a distance.
-    """
-    asked = np.asarray(query, dtype=np.float64)
-    stored = np.asarray(histograms)
-    if asked.ndim != 1 or stored.ndim != 2 or stored.shape[1] != len(asked):
-        raise InvalidMotionError("ranking.histograms", asked=asked.shape, stored=stored.shape)
-    # Votes keep their type to avoid a copy of the library.
-    kind = np.int32 if stored.dtype == np.int32 else np.float64
-    distances = np.empty(len(stored))
-    measure_distances(np.ascontiguousarray(asked), np.ascontiguousarray(stored, kind), distances)
-    if not np.isfinite(distances).all():
-        raise InvalidMotionError("ranking.histograms_not_finite")
-    return distances
-
-
-def compare_leaves(query: ArrayLike, leaves: ArrayLike) -> FloatArray:
-    """Return the (N,) shares of trees in which clips (N, n_trees) end in another leaf than the query (n_trees,).
-
-    InvalidMotionError : shapes that disagree, or no trees.
-    Source: 1 less the proximity of Breiman and Cutler's random forests.
-    """
-    asked, stored = np.ascontiguousarray(query, np.int32), np.ascontiguousarray(leaves, np.int32)
-    if asked.ndim != 1 or stored.ndim != 2 or stored.shape[1] != len(asked) or not len(asked):
-        raise InvalidMotionError("ranking.leaves", asked=asked.shape, stored=stored.shape)
-    counts = np.empty(len(stored), np.int32)
-    count_differences(asked, stored, counts)
-    distances: FloatArray = counts / len(asked)
-    return distances
-
-
 def rank_by_pose(query: ArrayLike, poses: ArrayLike, reach: float = 2.0) -> tuple[IndexArray, FloatArray]:
     """Rank clips (N, T, D) by the distance of their poses from those of the query (T, D) after an alignment in time.
 
@@ -201,41 +111,6 @@ def rank_by_pose(query: ArrayLike, poses: ArrayLike, reach: float = 2.0) -> tupl
     return np.argsort(distances, kind="stable"), distances
 
 
-def rank_clips(by: str, query: RankingQuery, clips: RankedClips, n_refined: int = N_REFINED) -> Ranking:
-    """Rank clips by one of ``RANKINGS``; clips at equal distances keep their order.
-
-    Parameters
-    ----------
-    by : ``"fused"``, ``"histogram"`` (equals by their leaves), ``"leaves"`` (equals by their histograms) or ``"pose"``.
-    query, clips : ``"histogram"`` and ``"leaves"`` do not read poses.
-    n_refined : clips whose poses are compared, 1 or more.
-
-    Raises
-    ------
-    OptionError : an unknown ranking, or nothing to refine.
-    InvalidMotionError : arrays whose shapes disagree or that are not finite.
-    """
-    if by not in RANKINGS:
-        raise OptionError("ranking.unknown", known=RANKINGS, found=by)
-    if n_refined < 1:
-        raise OptionError("ranking.refined", found=n_refined)
-    histogram = compare_histograms(query.histogram, clips.histograms)
-    histogram /= max(float(np.sum(query.histogram)), 1e-300)
-    leaves = compare_leaves(query.leaves, clips.leaves)
-    pose = np.full(len(histogram), np.nan)
-    if by in ("histogram", "leaves"):
-        first, second = (histogram, leaves) if by == "histogram" else (leaves, histogram)
-        return Ranking(np.lexsort((second, first)), first, histogram, leaves, pose)
-    cheap = add_up(histogram, leaves, clips.cosines)
-    order = np.argsort(cheap, kind="stable")
-    refined = order[:n_refined]
-    if len(refined):
-        pose[refined] = rank_by_pose(query.poses, clips.read_poses(refined))[1]
-    distances = pose if by == "pose" else fuse(cheap, pose, refined)
-    order[:n_refined] = refined[np.argsort(distances[refined], kind="stable")]
-    return Ranking(order, distances, histogram, leaves, pose)
-
-
 def add_up(histogram: FloatArray, leaves: FloatArray, cosines: NDArray[np.floating] | None) -> FloatArray:
     """Add the distances of histograms, leaves and, if known, angles, each on its scale: (N,)."""
     cheap: FloatArray = histogram * HISTOGRAM_SCALE + LEAVES_WEIGHT * leaves
@@ -248,27 +123,6 @@ def fuse(cheap: FloatArray, pose: FloatArray, refined: IndexArray, scale: float 
     """Add the pose distances times ``scale`` (1 / body heights); clips not compared count as the farthest that were."""
     worst = float(pose[refined].max(initial=0.0))
     return cheap + scale * np.where(np.isnan(pose), worst, pose)
-
-
-@kernel(linear=True)
-def measure_distances(query: FloatArray, stored: FloatArray, distances: FloatArray) -> None:
-    """Euclidean distances of query (C,) float64 from the rows of stored (N, C) float64 or int32, into (N,)."""
-    for k in range(len(stored)):
-        square = 0.0
-        for c in range(len(query)):
-            difference = stored[k, c] - query[c]
-            square += difference * difference
-        distances[k] = np.sqrt(square)
-
-
-@kernel(linear=True)
-def count_differences(query: NDArray[np.int32], stored: NDArray[np.int32], counts: NDArray[np.int32]) -> None:
-    """Count the places in which rows of stored (N, n) int32 differ from query (n,) int32, into (N,) int32."""
-    for k in range(len(stored)):
-        count = np.int32(0)
-        for t in range(len(query)):
-            count += np.int32(stored[k, t] != query[t])
-        counts[k] = count
 
 
 @part
