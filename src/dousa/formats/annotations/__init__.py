@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dousa.formats.annotations.elan import write_eaf
-from dousa.formats.annotations.label_file import LabelFile, LabelSpan, LabelTier
+from dousa.formats.annotations.label_file import LabelFile, LabelTier
 from dousa.formats.annotations.reading import LABEL_SUFFIXES, is_label_file, read_label_file
 from dousa.formats.annotations.tables import write_labels_csv
 
 __all__ = [
     "LABEL_SUFFIXES",
     "LabelFile",
-    "LabelSpan",
     "LabelTier",
     "is_label_file",
     "read_label_file",

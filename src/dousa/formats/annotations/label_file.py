@@ -20,30 +20,13 @@ MOST_BYTES = 1000
 
 
 @dataclass(frozen=True, slots=True)
-class LabelSpan:
-    """One label.
-
-    Parameters
-    ----------
-    start, stop : s, or frames in a file that counts them.
-    category : not empty.
-    line : of the file, for messages; None where it has none.
-    """
-
-    start: float
-    stop: float
-    category: str
-    line: int | None = None
-
-
-@dataclass(frozen=True, slots=True)
 class LabelTier:
     """Labels of one kind, or of one person.
 
     Parameters
     ----------
     name : empty where the file has none.
-    spans : in the order of time.
+    spans : in the order of time, each with a category; s, or frames in a file that counts them.
     unclear : (start, stop) of unclear parts.
     n_points : labels of a moment, which have no length and are not among the spans.
     n_rest : labels without a category (nothing happens), which are not among the spans.
@@ -51,7 +34,7 @@ class LabelTier:
     """
 
     name: str
-    spans: tuple[LabelSpan, ...]
+    spans: tuple[Stretch, ...]
     unclear: tuple[tuple[float, float], ...] = ()
     n_points: int = 0
     warnings: tuple[Message, ...] = ()
@@ -155,12 +138,10 @@ def to_annotation(
     scale = 1.0 / frame_rate if file.counts_frames and frame_rate else 1.0
     if chosen.n_points:
         notes.append(Message("label_files.points", path=file.path, n=chosen.n_points))
-    all_of_it = [Stretch(one.start * scale, one.stop * scale, one.category, line=one.line) for one in chosen.spans]
-    segments, twice = leave_out_twice(all_of_it)
+    scaled = [replace(one, start=one.start * scale, stop=one.stop * scale) for one in chosen.spans]
+    segments, twice = leave_out_twice(scaled)
     notes += [_say_where(file.path, one.line, note) for one, note in twice]
-    once = {id(one) for one in segments}
-    pairs = zip(chosen.spans, all_of_it, strict=True)
-    notes += _find_overlaps(file.path, [span for span, one in pairs if id(one) in once])
+    notes += _find_overlaps(file.path, segments)
     unclear = tuple((start * scale, stop * scale) for start, stop in chosen.unclear)
     return Annotation(tuple(segments), unclear, file.path, chosen.name, chosen.is_blank), notes
 
@@ -190,11 +171,11 @@ def _say_where(path: str, line: int | None, note: Message) -> Message:
     return Message("text.in_line", path=path, line=line, problem=note)
 
 
-def _find_overlaps(path: str, spans: Sequence[LabelSpan], touching: float = 1e-3) -> list[Message]:
+def _find_overlaps(path: str, spans: Sequence[Stretch], touching: float = 1e-3) -> list[Message]:
     """Note spans that overlap their neighbours by more than ``touching`` s."""
     ordered = sorted(spans, key=lambda one: (one.start, one.stop))
     both = []
-    last: LabelSpan | None = None
+    last: Stretch | None = None
     for one in ordered:
         if last is not None and one.start < last.stop - touching:
             both.append((last, one))
@@ -238,7 +219,7 @@ def check_category(path: str, category: str, line: int | None) -> None:
         )
 
 
-def make_span(path: str, start: float, stop: float, category: str, line: int | None) -> LabelSpan:
+def make_span(path: str, start: float, stop: float, category: str, line: int | None) -> Stretch:
     """Make a label of some length; MotionFileError for invalid times or a category that is too long."""
     check_category(path, category, line)
     if not (isfinite(start) and isfinite(stop) and max(abs(start), abs(stop)) < 1e7):
@@ -247,7 +228,7 @@ def make_span(path: str, start: float, stop: float, category: str, line: int | N
         raise MotionFileError(path, "label_files.backwards", line, start=start, stop=stop, category=category)
     if start < 0:
         raise MotionFileError(path, "label_files.negative", line, start=start, category=category)
-    return LabelSpan(start, stop, category, line)
+    return Stretch(start, stop, category, line=line)
 
 
 def parse_number(path: str, text: str, column: str, line: int) -> float:
@@ -275,10 +256,10 @@ def decode_text(path: str, data: bytes, encoding: str = "utf-8-sig") -> str:
 def finish_tier(path: str, tier: LabelTier) -> LabelTier:
     """Sort the spans by time and drop categories that mean "unknown", with a note."""
     spans = sorted(tier.spans, key=lambda one: (one.start, one.stop))
-    unknown = [one for one in spans if is_unknown(one.category)]
+    unknown = [one for one in spans if is_unknown(one.category or "")]
     if not unknown:
         return replace(tier, spans=tuple(spans))
     note = Message("label_files.unknown", n=len(unknown), category=unknown[0].category)
     warnings = (*tier.warnings, _say_where(path, unknown[0].line, note))
-    named = tuple(one for one in spans if not is_unknown(one.category))
+    named = tuple(one for one in spans if not is_unknown(one.category or ""))
     return replace(tier, spans=named, warnings=warnings, n_rest=tier.n_rest + len(unknown))

@@ -24,7 +24,6 @@ from dousa.errors import MotionFileError
 from dousa.files.disk import atomic_write
 from dousa.formats.annotations.label_file import (
     LabelFile,
-    LabelSpan,
     LabelTier,
     check_category,
     clean_category,
@@ -192,7 +191,7 @@ def _read_events(table: _Table) -> LabelFile:
 class _Tier:
     def __init__(self, name: str) -> None:
         self.name = name
-        self.spans: list[LabelSpan] = []
+        self.spans: list[Stretch] = []
         self.unclear: list[tuple[float, float]] = []
         self.n_points = 0
         self.n_rest = 0
@@ -278,7 +277,7 @@ def read_cmu_list(path: str, data: bytes) -> LabelFile:
     """Read labels of several takes, in frames; MotionFileError for a line that is neither a take nor an action."""
     takes: dict[str, tuple[LabelTier, ...]] = {}
     name, begin = "", 0.0
-    spans: list[LabelSpan] = []
+    spans: list[Stretch] = []
     unclear: list[tuple[float, float]] = []
     warnings: list[Message] = []
     for number, line in enumerate(decode_text(path, data).splitlines(), 1):
@@ -294,7 +293,7 @@ def read_cmu_list(path: str, data: bytes) -> LabelFile:
             if earliest <= begin:
                 raise MotionFileError(path, "label_files.cmu_backwards", number, frame=latest, before=begin)
             check_category(path, action[1], number)
-            spans.append(LabelSpan(begin, earliest, action[1], number))
+            spans.append(Stretch(begin, earliest, action[1], line=number))
             if latest > earliest:
                 unclear.append((earliest, latest))
             begin = latest

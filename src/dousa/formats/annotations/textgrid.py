@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from dousa.errors import MotionFileError
 from dousa.formats.annotations.label_file import (
     LabelFile,
-    LabelSpan,
     LabelTier,
     clean_category,
     decode_text,
@@ -21,6 +20,7 @@ from dousa.formats.annotations.label_file import (
     make_span,
     parse_number,
 )
+from dousa.motion.annotation import Stretch
 
 _TOKEN = re.compile(
     r'"(?P<text>(?:[^"]|"")*)"'
@@ -99,7 +99,7 @@ def _read_tier(reader: _Reader) -> LabelTier:
     kind, name = reader.take("text"), reader.take("text")
     reader.number(), reader.number()
     count = reader.count()
-    spans: list[LabelSpan] = []
+    spans: list[Stretch] = []
     if kind == _INTERVALS:
         for _ in range(count):
             start, line = reader.number(), reader.line
