@@ -253,12 +253,12 @@ def _learn_templates(
     from dousa.retrieval.ranking.templates import MotionTemplates
 
     templates = MotionTemplates(n_jobs=settings.n_jobs)
-    templates.fit_sequences([material.relational[k] for k in gallery], labels)
+    templates.fit([material.relational[k] for k in gallery], labels)
     return templates, np.searchsorted(templates.classes_, labels)
 
 
 def _rank_by_template(
     templates: MotionTemplates, numbers: NDArray[np.intp], material: RankingMaterial, query: int
 ) -> NDArray[np.intp]:
-    distances = templates.sequence_distances([material.relational[query]])[0]
+    distances = templates.distances([material.relational[query]])[0]
     return np.argsort(distances[numbers], kind="stable")

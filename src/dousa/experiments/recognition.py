@@ -354,10 +354,10 @@ def _train_and_predict(
     if system == "motion_templates":
         from dousa.retrieval.ranking.templates import MotionTemplates
 
-        templates = MotionTemplates(settings.sampling_rate, settings.threshold, n_jobs=settings.n_jobs)
-        templates.fit_sequences([material.sequences[k] for k in fold.train], labels)
+        templates = MotionTemplates(settings.threshold, n_jobs=settings.n_jobs)
+        templates.fit([material.sequences[k] for k in fold.train], labels)
         fitted = time.perf_counter()
-        predicted = templates.predict_sequences([material.sequences[k] for k in fold.test])
+        predicted = templates.predict([material.sequences[k] for k in fold.test])
     else:
         forest = _make_system(settings, system, seed)
         # The paper's trees learn from the clips alone.

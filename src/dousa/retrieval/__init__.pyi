@@ -36,6 +36,7 @@ from .ranking.ranking import rank_by_pose as rank_by_pose
 from .ranking.templates import RELATIONAL_FEATURES as RELATIONAL_FEATURES
 from .ranking.templates import MotionTemplates as MotionTemplates
 from .ranking.templates import compute_relational_features as compute_relational_features
+from .ranking.templates import compute_relational_sequence as compute_relational_sequence
 from .takes.find import Found as Found
 from .takes.find import TakeQuery as TakeQuery
 from .takes.find import describe_query as describe_query

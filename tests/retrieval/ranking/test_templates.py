@@ -63,9 +63,9 @@ def test_equal_weights_change_nothing() -> None:
 
 def test_distances_match_the_oracle() -> None:
     motions = [answers(k, 5 + k) for k in range(6)]
-    templates = MotionTemplates(n_iterations=2).fit_sequences(motions, list("aabbcc"))
+    templates = MotionTemplates(n_iterations=2).fit(motions, list("aabbcc"))
     queries = [answers(50 + k, 3 + 4 * k).astype(bool) for k in range(4)]
-    got = templates.sequence_distances(queries)
+    got = templates.distances(queries)
     expected = [[oracle.template_distance(t, q) for t in templates.templates_] for q in queries]
     np.testing.assert_allclose(got, expected, atol=1e-12)
     assert ((got >= 0) & (got <= 1)).all()
@@ -94,11 +94,11 @@ def test_entries_that_vary_become_grey() -> None:
         variant = motion.copy()
         variant[:, 5] = k % 2  # half of them say yes, half no
         variants.append(stretched(variant, generator))
-    templates = MotionTemplates().fit_sequences(variants, ["a"] * 6)
+    templates = MotionTemplates().fit(variants, ["a"] * 6)
     assert (templates.templates_[0][:, 5] == -1).all()
     others = np.delete(templates.templates_[0], 5, axis=1)
     assert (others >= 0).mean() > 0.9
-    assert templates.sequence_distances([variants[0], variants[1]]).max() < 0.02
+    assert templates.distances([variants[0], variants[1]]).max() < 0.02
 
 
 def test_unseen_tempos_are_recognised() -> None:
@@ -106,18 +106,18 @@ def test_unseen_tempos_are_recognised() -> None:
     bases = {name: answers(ord(name), 20) for name in "abcd"}
     train = [(stretched(base, generator), name) for name, base in bases.items() for _ in range(5)]
     test = [(stretched(base, generator), name) for name, base in bases.items() for _ in range(3)]
-    templates = MotionTemplates().fit_sequences([m for m, _ in train], [name for _, name in train])
-    assert templates.predict_sequences([m for m, _ in test]).tolist() == [name for _, name in test]
+    templates = MotionTemplates().fit([m for m, _ in train], [name for _, name in train])
+    assert templates.predict([m for m, _ in test]).tolist() == [name for _, name in test]
     assert templates.classes_.tolist() == ["a", "b", "c", "d"]
 
 
 def test_threads_change_nothing() -> None:
     motions = [answers(k, 10 + k) for k in range(9)]
-    one = MotionTemplates().fit_sequences(motions, list("aaabbbccc"))
-    two = MotionTemplates(n_jobs=2).fit_sequences(motions, list("aaabbbccc"))
+    one = MotionTemplates().fit(motions, list("aaabbbccc"))
+    two = MotionTemplates(n_jobs=2).fit(motions, list("aaabbbccc"))
     for a, b in zip(one.averages_, two.averages_, strict=True):
         np.testing.assert_array_equal(a, b)
-    np.testing.assert_array_equal(one.sequence_distances(motions), two.sequence_distances(motions))
+    np.testing.assert_array_equal(one.distances(motions), two.distances(motions))
 
 
 def test_few_references_of_many_motions_still_average_all() -> None:
@@ -130,23 +130,23 @@ def test_few_references_of_many_motions_still_average_all() -> None:
 
 def test_a_category_with_one_motion_is_that_motion() -> None:
     motion = answers(1, 8)
-    templates = MotionTemplates().fit_sequences([motion], ["only"])
+    templates = MotionTemplates().fit([motion], ["only"])
     np.testing.assert_array_equal(templates.templates_[0], motion)
 
 
 def test_questions_without_clips_get_no_answers() -> None:
-    templates = MotionTemplates().fit_sequences([answers(1, 8), answers(2, 8)], ["a", "b"])
-    assert templates.sequence_distances([]).shape == (0, 2)
-    assert templates.predict_sequences([]).shape == (0,)
+    templates = MotionTemplates().fit([answers(1, 8), answers(2, 8)], ["a", "b"])
+    assert templates.distances([]).shape == (0, 2)
+    assert templates.predict([]).shape == (0,)
 
 
 def test_bad_use_is_refused() -> None:
     with pytest.raises(NotTrainedError, match="fit"):
-        MotionTemplates().predict_sequences([answers(1, 3)])
+        MotionTemplates().predict([answers(1, 3)])
     with pytest.raises(TrainingError, match="at least one clip"):
         MotionTemplates().fit([], [])
     with pytest.raises(TrainingError, match="a category for each"):
-        MotionTemplates().fit_sequences([answers(1, 3)], ["a", "b"])
-    for wrong in (MotionTemplates(threshold=0.5), MotionTemplates(sampling_rate=0.0), MotionTemplates(n_iterations=0)):
+        MotionTemplates().fit([answers(1, 3)], ["a", "b"])
+    for wrong in ({"threshold": 0.5}, {"n_iterations": 0}):
         with pytest.raises(OptionError, match="expected"):
-            wrong.fit_sequences([answers(1, 3)], ["a"])
+            MotionTemplates(**wrong)

@@ -289,7 +289,6 @@ class MotionTemplates:
 
     Parameters
     ----------
-    sampling_rate : Hz, of the compared motions.
     threshold : share of the training motions that may disagree about an entry that is not grey; 0 to below 0.5.
     n_iterations : greatest number of rounds of warping and averaging.
     max_references : motions of a category that serve as references.
@@ -303,30 +302,21 @@ class MotionTemplates:
     """
 
     def __init__(
-        self,
-        sampling_rate: float = 30.0,
-        threshold: float = 0.1,
-        n_iterations: int = 12,
-        max_references: int = 10,
-        n_jobs: int | None = None,
+        self, threshold: float = 0.1, n_iterations: int = 12, max_references: int = 10, n_jobs: int | None = None
     ) -> None:
-        self.sampling_rate = sampling_rate
-        self.threshold = threshold
-        self.n_iterations = n_iterations
-        self.max_references = max_references
-        self.n_jobs = n_jobs
+        if not 0 <= threshold < 0.5:
+            raise OptionError("templates.threshold", found=threshold)
+        if n_iterations < 1 or max_references < 1:
+            raise OptionError("templates.counts", iterations=n_iterations, references=max_references)
+        self.threshold, self.n_jobs = threshold, n_jobs
+        self.n_iterations, self.max_references = n_iterations, max_references
 
-    def fit(self, clips: Sequence[PosedMotion], categories: ArrayLike) -> Self:
+    def fit(self, sequences: Sequence[BoolArray], categories: ArrayLike) -> Self:
         """Learn a template for every category from training motions and their labels (N,).
 
-        TrainingError : no clips, or another number of labels. OptionError : a parameter outside its range.
+        ``sequences`` are relational features (T, 39) of ``compute_relational_sequence``. TrainingError : none, or
+        another number of labels.
         """
-        self._check_parameters()
-        return self.fit_sequences(self._sequences(clips), categories)
-
-    def fit_sequences(self, sequences: Sequence[BoolArray], categories: ArrayLike) -> Self:
-        """As ``fit``, for relational features (T, 39)."""
-        self._check_parameters()
         labels = np.asarray(categories)
         if len(sequences) == 0 or labels.shape != (len(sequences),):
             raise TrainingError("templates.labels", clips=len(sequences), shape=labels.shape)
@@ -341,31 +331,20 @@ class MotionTemplates:
         self._weights, self._offsets, self._bounds = _cost_matrices(self.templates_)
         return self
 
-    def distances(self, clips: Sequence[PosedMotion]) -> FloatArray:
-        """Compute the (N, C) distances of clips to templates, from 0 (equal wherever not grey) to 1.
+    def distances(self, sequences: Sequence[BoolArray]) -> FloatArray:
+        """Compute the (N, C) distances of motions to templates, from 0 (equal wherever not grey) to 1.
 
         NotTrainedError : before ``fit``.
         """
-        return self.sequence_distances(self._sequences(clips))
-
-    def sequence_distances(self, sequences: Sequence[BoolArray]) -> FloatArray:
-        """As ``distances``, for relational features (T, 39)."""
-        self._check_trained()
+        if not hasattr(self, "classes_"):
+            raise NotTrainedError("templates.not_trained")
         rows = map_pieces(self._distances_of_one, sequences, self.n_jobs)
         return np.array(rows, dtype=np.float64).reshape(len(sequences), len(self.classes_))
 
-    def predict(self, clips: Sequence[PosedMotion]) -> NDArray[Any]:
-        """Return the category of the nearest template for every clip, (N,)."""
-        return self.classes_of(self.distances(clips))
-
-    def predict_sequences(self, sequences: Sequence[BoolArray]) -> NDArray[Any]:
-        """As ``predict``, for relational features (T, 39)."""
-        return self.classes_of(self.sequence_distances(sequences))
-
-    def classes_of(self, distances: FloatArray) -> NDArray[Any]:
-        """Return the category of the smallest distance in every row of (N, C)."""
-        self._check_trained()
-        found: NDArray[Any] = self.classes_[np.argmin(distances, axis=1)]
+    def predict(self, sequences: Sequence[BoolArray]) -> NDArray[Any]:
+        """Return the category of the nearest template for every motion, (N,)."""
+        nearest = np.argmin(self.distances(sequences), axis=1)
+        found: NDArray[Any] = self.classes_[nearest]
         return found
 
     def _distances_of_one(self, sequence: BoolArray) -> FloatArray:
@@ -373,21 +352,6 @@ class MotionTemplates:
         costs += self._offsets[:, None]
         found: FloatArray = warped_costs(costs, self._bounds)
         return found
-
-    def _sequences(self, clips: Sequence[PosedMotion]) -> list[BoolArray]:
-        return [compute_relational_sequence(clip, self.sampling_rate) for clip in clips]
-
-    def _check_trained(self) -> None:
-        if not hasattr(self, "classes_"):
-            raise NotTrainedError("templates.not_trained")
-
-    def _check_parameters(self) -> None:
-        if not (np.isfinite(self.sampling_rate) and self.sampling_rate > 0):
-            raise OptionError("templates.rate", found=self.sampling_rate)
-        if not 0 <= self.threshold < 0.5:
-            raise OptionError("templates.threshold", found=self.threshold)
-        if self.n_iterations < 1 or self.max_references < 1:
-            raise OptionError("templates.counts", iterations=self.n_iterations, references=self.max_references)
 
 
 def _learn_average(motions: list[FloatArray], n_iterations: int, max_references: int) -> FloatArray:
