@@ -253,19 +253,18 @@ def _find_channels(names: tuple[str, ...]) -> tuple[Channel, ...]:
 
 
 @dataclass(frozen=True, slots=True)
-class Reason:
-    """A relation that the vote for a category rests on.
+class _Decisive:
+    """A relation that an answer rests on, as one test of it shows.
 
     Parameters
     ----------
     text : the relation in words.
-    relation : the relation removed for ``vote_without``.
+    relation : the relation removed for ``vote_without`` or ``alike_without``.
     channel, unit, kind : the quantity measured; the kind is ``"mean"``, ``"spread"`` or ``"trend"``.
     start, end : s, the interval.
     value, threshold : of the clip and of the test, in ``unit``.
     above : whether the value lies above the threshold.
-    others, away : training clips of other categories that reached the test, and how many lie on the other side.
-    vote_before, vote_without : share of the trees that vote for the category, with and without the relation.
+    others, away : other training clips that reached the test, and how many lie on the other side.
     """
 
     text: Message
@@ -280,12 +279,49 @@ class Reason:
     above: bool
     others: int
     away: int
+
+
+@dataclass(frozen=True, slots=True)
+class Reason(_Decisive):
+    """A relation that the vote for a category rests on; the others are training clips of other categories.
+
+    ``vote_before`` and ``vote_without`` are the shares of the trees that vote for the category, with and without it.
+    """
+
     vote_before: float
     vote_without: float
 
 
 @dataclass(frozen=True, slots=True)
-class Explanation:
+class SharedReason(_Decisive):
+    """A relation that two clips share, unlike other clips.
+
+    ``other_start``, ``other_end`` and ``other_value`` are of the second clip; ``alike_before`` and ``alike_without``
+    the shares of the trees with both in one leaf, with and without the relation.
+    """
+
+    other_start: float
+    other_end: float
+    other_value: float
+    alike_before: float
+    alike_without: float
+
+
+class _Reasons:
+    """What reasons are given for."""
+
+    __slots__ = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain lists and dictionaries, the text in the current language."""
+        plain = asdict(self)  # type: ignore[call-overload]  # of the dataclasses below this one
+        for reason in plain["reasons"]:
+            reason |= {"text": str(reason["text"]), "message": reason["text"].to_json()}
+        return dict(plain)
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation(_Reasons):
     """The ``reasons`` of a forest for a ``category``, the most important first; none if no tree votes for it.
 
     ``vote`` is the share of the trees that vote for it, ``vote_without_all`` that without all of these relations.
@@ -296,60 +332,14 @@ class Explanation:
     reasons: tuple[Reason, ...]
     vote_without_all: float
 
-    def to_json(self) -> dict[str, Any]:
-        """Return plain lists and dictionaries, the text in the current language."""
-        return _to_json(self)
-
 
 @dataclass(frozen=True, slots=True)
-class SharedReason:
-    """A relation that two clips share, unlike other clips.
-
-    Parameters
-    ----------
-    text, relation, channel, unit, kind, threshold, above : as of a ``Reason``.
-    start, end, value : of the first clip; ``other_start``, ``other_end`` and ``other_value`` of the second.
-    others, away : training clips that reached the test, and how many lie on the other side.
-    alike_before, alike_without : share of the trees with both in one leaf, with and without the relation.
-    """
-
-    text: Message
-    relation: str
-    channel: str
-    unit: str
-    kind: str
-    start: float
-    end: float
-    value: float
-    other_start: float
-    other_end: float
-    other_value: float
-    threshold: float
-    above: bool
-    others: int
-    away: int
-    alike_before: float
-    alike_without: float
-
-
-@dataclass(frozen=True, slots=True)
-class Likeness:
+class Likeness(_Reasons):
     """The share of trees with two clips in one leaf, with and without all the reasons, and the reasons."""
 
     alike: float
     reasons: tuple[SharedReason, ...]
     alike_without_all: float
-
-    def to_json(self) -> dict[str, Any]:
-        """Return plain lists and dictionaries, the text in the current language."""
-        return _to_json(self)
-
-
-def _to_json(found: Explanation | Likeness) -> dict[str, Any]:
-    plain = asdict(found)
-    for reason in plain["reasons"]:
-        reason |= {"text": str(reason["text"]), "message": reason["text"].to_json()}
-    return plain
 
 
 @dataclass(frozen=True, slots=True)
