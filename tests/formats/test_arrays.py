@@ -190,6 +190,7 @@ def test_what_is_no_motion_is_said_in_one_sentence(tmp_path):
     path = tmp_path / "x.npy"
     refused(path, b"no array", "arrays.no_npy")
     refused(path, made.make_npy(np.zeros((4, 264))), "arrays.shape")
+    refused(path, made.make_npy(np.zeros((0, 2, 22, 3))), "arrays.shape")  # samples of which there are none
     refused(path, made.make_npy(np.random.default_rng(0).normal(size=(9, 263))), "arrays.features")
     refused(path, made.make_npy(np.zeros((4, 7, 3))), "arrays.joints")
     refused(path, made.make_npy(np.zeros((4, 22, 3)))[:-1], "arrays.size")

@@ -122,7 +122,7 @@ def _build_bare(
         notes = (Message("arrays.poses", joints=turns.shape[1], model=JOINTS_OF[turns.shape[1]]),)
         poses: dict[str, Any] = {"skeleton": skeleton, "default_up": None, "notes": notes, "turns": turns}
         return build_smpl(path, lambda _name: None, (), **poses, **options)
-    if rows.ndim == 4 and is_joint_array(rows.shape[1:]):
+    if rows.ndim == 4 and len(rows) and is_joint_array(rows.shape[1:]):
         return _build_joints(path, {}, {"motion": rows}, person, animation, options)
     return build_joints(path, name_kind(path), array, **options)
 
