@@ -1,7 +1,10 @@
 """Words in columns against what is said of one motion at a time."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from oracles import slow_words
 
 from dousa.retrieval.words.matching import KnownWords, Matcher, MotionWords, WordColumns, make_unit, read_query
 from dousa.retrieval.words.vocabulary import load_vocabulary, read_words
@@ -34,12 +37,14 @@ def test_all_at_once_says_what_is_said_of_each(motions, text):
     known = KnownWords(word for one in motions for unit in (one.category, one.name) for word in unit.words)
     matcher = Matcher(vocabulary, read_query(vocabulary, text, known))
     columns = WordColumns(motions)
-    expected = [matcher.fit(one.category, one.name, one.relations).score for one in motions]
-    np.testing.assert_allclose(columns.score(matcher), expected, rtol=0, atol=1e-9)
-    assert [columns.fit(matcher, row).score for row in range(3)] == expected[:3]
+    expected = [slow_words.fit(matcher, one.category, one.name, one.relations) for one in motions]
+    fits = columns.fit(matcher)
+    np.testing.assert_allclose(fits.scores, [one.score for one in expected], rtol=0, atol=1e-9)
+    for row, one in enumerate(expected):
+        assert replace(fits.of(row), score=one.score) == one
 
 
 def test_nothing_is_no_motion():
     vocabulary = load_vocabulary()
     matcher = Matcher(vocabulary, read_query(vocabulary, "kick", KnownWords(())))
-    assert WordColumns([]).score(matcher).shape == (0,)
+    assert WordColumns([]).fit(matcher).scores.shape == (0,)

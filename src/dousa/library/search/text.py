@@ -29,6 +29,7 @@ from dousa.retrieval.words.matching import (
     LEAST_OF_BEST,
     LEAST_SCORE,
     Fit,
+    Fits,
     KnownWords,
     Matcher,
     MotionWords,
@@ -172,7 +173,8 @@ class TextSearcher:
         _check_text(text)
         index = self._load()
         matchers = _read(index, text)
-        rows, scores, _ = _find(matchers, text, index, np.arange(len(index.entries)))
+        fits = [index.columns.fit(one) for one in matchers]
+        rows, scores, _ = _find(fits, text, index, np.arange(len(index.entries)))
         ids = np.array([index.entries[row].row.id for row in rows.tolist()], np.int64)
         taken = _join([one.query.corrections | one.query.replaced for one in matchers])
         return TextMatches(ids, scores, taken)
@@ -191,10 +193,11 @@ class TextSearcher:
         index = self._load()
         chosen = _choose(index.entries, category, performer, kind)
         matchers = _read(index, text)
-        rows, scores, fitting = _find(matchers, text, index, chosen)
+        fits = [index.columns.fit(one) for one in matchers]
+        rows, scores, fitting = _find(fits, text, index, chosen)
         found = zip(rows[:k].tolist(), scores.tolist(), fitting.tolist(), strict=False)
         hits = tuple(
-            _make_hit(index.entries[row], _fit(matchers[which], index, row, score), rank)
+            _make_hit(index.entries[row], _fit(fits[which], row, score), rank)
             for rank, (row, score, which) in enumerate(found, start=1)
         )
         queries = [one.query for one in matchers]
@@ -321,14 +324,14 @@ def _literal(text: str) -> str:
 
 
 def _find(
-    matchers: Sequence[Matcher], text: str, index: _TextIndex, chosen: IndexArray, *, literal: float = 0.6
+    fits: Sequence[Fits], text: str, index: _TextIndex, chosen: IndexArray, *, literal: float = 0.6
 ) -> tuple[IndexArray, FloatArray, IndexArray]:
     """Return places, scores and best alternatives of the motions that fit, the best first, equals by path.
 
     A label or name that contains the query letter by letter fits; it has the score ``literal``, unless its words have
     more.
     """
-    alternatives, letters = np.stack([index.columns.score(one) for one in matchers]), _literal(text)
+    alternatives, letters = np.stack([one.scores for one in fits]), _literal(text)
     fitting, scores = alternatives.argmax(axis=0), alternatives.max(axis=0)
     called = np.zeros(len(scores), bool)
     if len(letters) >= 3:
@@ -341,9 +344,9 @@ def _find(
     return found, scores[found], fitting[found]
 
 
-def _fit(matcher: Matcher, index: _TextIndex, row: int, score: float, *, rounding: float = 1e-6) -> Fit:
+def _fit(fits: Fits, row: int, score: float, *, rounding: float = 1e-6) -> Fit:
     """Return how a motion fits: by its words, or by its letters if these score higher than ``rounding`` explains."""
-    fit = index.columns.fit(matcher, row)
+    fit = fits.of(row)
     return fit if fit.score >= score - rounding else Fit(score, (), in_category=False, in_name=True)
 
 

@@ -98,6 +98,21 @@ class Fit:
     in_name: bool
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Fits:
+    """The matches of N motions with a query, as of ``Fit``; ``relations`` (N, 2), -1 for none."""
+
+    scores: FloatArray
+    relations: IndexArray
+    in_category: NDArray[np.bool_]
+    in_name: NDArray[np.bool_]
+
+    def of(self, row: int) -> Fit:
+        """Return the match of one motion."""
+        used = tuple(place for place in self.relations[row].tolist() if place >= 0)
+        return Fit(float(self.scores[row]), used, bool(self.in_category[row]), bool(self.in_name[row]))
+
+
 def weigh_word(vocabulary: Vocabulary, word: Word) -> float:
     """Return the weight of a word in a query."""
     if not word.meanings:
@@ -243,7 +258,6 @@ class Matcher:
     def __init__(self, vocabulary: Vocabulary, query: ReadQuery) -> None:
         self._vocabulary = vocabulary
         self.query = query
-        self._total = sum(slot.weight for slot in query.slots)
         self._found: dict[Unit, tuple[tuple[float, ...], bool]] = {}
         self._relations: dict[Unit, tuple[float, ...]] = {}
 
@@ -308,51 +322,8 @@ class Matcher:
             (asked, said) in related for asked in slot.word.meanings for said in word.meanings
         )
 
-    def fit(self, category: Unit, name: Unit, relations: Sequence[tuple[Unit, float]]) -> Fit:
-        """Match a motion.
-
-        Parameters
-        ----------
-        category, name : its words.
-        relations : its relations, each with the share of the motion for which it holds.
-        """
-        if not self._total:
-            return Fit(0.0, (), False, False)
-        slots = self.query.slots
-        by_category, against = self.find(category)
-        by_name, name_against = self.find(name)
-        scale = OPPOSITE if against or name_against else 1.0
-        base = [scale * max(a, NAME * b) for a, b in zip(by_category, by_name, strict=True)]
-        trust = ALSO_DOES if any(map(self.is_action, category.words)) else DOES
-        gains = [
-            tuple(trust * (0.8 + 0.2 * min(1.0, 2.0 * share)) * value for value in self.find_relation(unit))
-            for unit, share in relations
-        ]
-        used: list[int] = []
-        for _ in range(2):
-            score = self._sum(base)
-            place, more = max(
-                (
-                    (place, self._sum([max(pair) for pair in zip(base, values, strict=True)]))
-                    for place, values in enumerate(gains)
-                ),
-                key=lambda item: item[1],
-                default=(-1, score),
-            )
-            if place < 0 or more <= score + 1e-9:
-                break
-            base = [max(pair) for pair in zip(base, gains[place], strict=True)]
-            used.append(place)
-            # A second one helps only if the query names its action: walking, with both hands up.
-            gains = [values if is_whole(values, slots) else (0.0,) * len(values) for values in gains]
-        helped = any(value > 0.4 for value in by_category), any(value > 0.4 for value in by_name)
-        return Fit(self._sum(base), tuple(used), *helped)
-
     def is_action(self, word: Word) -> bool:
         return any(self._vocabulary.concepts[name].kind == "action" for name in word.meanings)
-
-    def _sum(self, values: Sequence[float]) -> float:
-        return sum(slot.weight * value for slot, value in zip(self.query.slots, values, strict=True)) / self._total
 
 
 def is_whole(values: Sequence[float], slots: Sequence[Slot]) -> bool:
@@ -394,46 +365,51 @@ class WordColumns:
         shares = np.array([share for _, _, share in flat], np.float64)
         self._lasting = 0.8 + 0.2 * np.minimum(1.0, 2.0 * shares)
 
-    def score(self, matcher: Matcher) -> FloatArray:
-        """Return the (N,) scores of all motions, as `Matcher.fit`."""
+    def fit(self, matcher: Matcher, enough: float = 0.4) -> Fits:
+        """Match all motions; words of a category or name count as matched above the value ``enough``."""
         query = matcher.query
-        weights = np.array([slot.weight for slot in query.slots], np.float64)
+        n_motions, weights = len(self.motions), np.array([slot.weight for slot in query.slots], np.float64)
+        used = np.full((n_motions, 2), -1, np.intp)
         if not weights.sum():
-            return np.zeros(len(self.motions))
-        base, trust = self._compare_names(matcher)
+            nothing = np.zeros(n_motions, bool)
+            return Fits(np.zeros(n_motions), used, nothing, nothing)
+        by_category, by_name, base, trust = self._compare_names(matcher)
         found = np.array([matcher.find_relation(unit) for unit in self._relations]).reshape(-1, len(weights))
         useful: NDArray[np.bool_] = np.any(found != 0, axis=1).astype(bool).reshape(-1)
-        helps = useful[self._unit_of]
-        rows, units = self._row_of[helps], self._unit_of[helps]
-        gains = (trust[rows] * self._lasting[helps])[:, np.newaxis] * found[units]
+        helps = np.flatnonzero(useful[self._unit_of])
+        gains = (trust[self._row_of[helps]] * self._lasting[helps])[:, np.newaxis] * found[self._unit_of[helps]]
+        # A second one helps only if the query names its action: walking, with both hands up.
         whole = np.array([is_whole(values, query.slots) for values in gains.tolist()], bool)
         total = weights.sum()
-        score: FloatArray = base @ weights / total
-        for chosen in (np.ones(len(rows), bool), whole):
-            base, score, better = _take_best(base, score, rows[chosen], gains[chosen], weights / total)
-            if not better:
+        scores: FloatArray = base @ weights / total
+        for turn, chosen in enumerate((np.ones(len(helps), bool), whole)):
+            rows = self._row_of[helps[chosen]]
+            base, scores, best = _take_best(base, scores, rows, gains[chosen], weights / total)
+            if not len(best):
                 break
-        return score
+            relations = helps[chosen][best]
+            used[rows[best], turn] = relations - np.searchsorted(self._row_of, rows[best])
+        matched = (np.asarray((values > enough).any(axis=1)) for values in (by_category, by_name))
+        return Fits(scores, used, *matched)
 
-    def fit(self, matcher: Matcher, row: int) -> Fit:
-        """Return the match of one motion."""
-        one = self.motions[row]
-        return matcher.fit(one.category, one.name, one.relations)
-
-    def _compare_names(self, matcher: Matcher) -> tuple[FloatArray, FloatArray]:
-        """Return (N, slots) values in categories and names, and (N,) factors of relations."""
+    def _compare_names(self, matcher: Matcher) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return (N, slots) values in categories, in names and in both, and (N,) factors of relations."""
         n_slots = len(matcher.query.slots)
         category, against = _compare(matcher, self._categories, n_slots)
         name, name_against = _compare(matcher, self._names, n_slots)
-        by_name, against_name = name[self._name_of], name_against[self._name_of]
+        by_category, by_name, against_name = (
+            category[self._category_of],
+            name[self._name_of],
+            name_against[self._name_of],
+        )
         for rows, unit in self._list_spelled({slot.word.key for slot in matcher.query.slots}):
             by_name[rows], against_name[rows] = matcher.find(unit)
         opposes: NDArray[np.bool_] = np.logical_or(against[self._category_of], against_name)
         scale = np.where(opposes, OPPOSITE, 1.0).reshape(-1, 1)
-        base = scale * np.maximum(category[self._category_of], NAME * by_name)
+        base = scale * np.maximum(by_category, NAME * by_name)
         acts = np.array([any(map(matcher.is_action, unit.words)) for unit in self._categories], bool)
         trust = np.where(acts, ALSO_DOES, DOES)
-        return base, trust[self._category_of]
+        return by_category, by_name, base, trust[self._category_of]
 
     def _list_spelled(self, keys: set[str]) -> Iterator[tuple[IndexArray, Unit]]:
         """Yield the motions whose names have unknown words of these keys, with the unit of their names."""
@@ -471,8 +447,8 @@ def _compare(matcher: Matcher, units: Sequence[Unit], n_slots: int) -> tuple[Flo
 
 def _take_best(
     base: FloatArray, score: FloatArray, rows: IndexArray, gains: FloatArray, weights: FloatArray
-) -> tuple[FloatArray, FloatArray, bool]:
-    """Add to (N, slots) values the relation that helps each motion most; return values, scores, whether any improved.
+) -> tuple[FloatArray, FloatArray, IndexArray]:
+    """Add to (N, slots) values the relation that helps each motion most; return values, scores, places of those added.
 
     ``rows`` are the motions of the relations, ascending, and the array after them holds their values.
     """
@@ -483,4 +459,4 @@ def _take_best(
     base, score = base.copy(), score.copy()
     base[rows[first]] = np.maximum(base[rows[first]], gains[first])
     score[rows[first]] = more[first]
-    return base, score, bool(len(first))
+    return base, score, first
