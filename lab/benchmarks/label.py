@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dousa.experiments.annotated.trial import learn_clip_judge
+from dousa.experiments.annotated_takes import learn_clip_judge
 from dousa.retrieval.takes.label import label_take
 from dousa.retrieval.takes.labeller_training import train_labeller
 from dousa.retrieval.takes.made_takes import JoinedTake

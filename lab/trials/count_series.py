@@ -192,7 +192,7 @@ def count_films(data: Path, rows: Rows) -> None:
 
 def count_labelled(name: str, clips: Sequence[LabelledClip], rows: Rows, folds: int, repeats: int) -> None:
     """Counts of the segments that a labeller finds, learned from other people."""
-    from dousa.experiments.annotated.trial import learn_clip_judge
+    from dousa.experiments.annotated_takes import learn_clip_judge
     from dousa.retrieval.takes.labeller_training import train_labeller
 
     for person in sorted({clip.performer or "" for clip in clips})[:folds]:
@@ -241,7 +241,7 @@ def _label(
 
 def count_takes(data: Path, person: str, real: Sequence[Counted], rows: Rows) -> None:
     """Counts of the segments of somebody's real takes, learned from the takes of the others."""
-    from dousa.experiments.annotated.trial import cut_segments, learn_clip_judge
+    from dousa.experiments.annotated_takes import cut_segments, learn_clip_judge
     from dousa.retrieval.takes.label import label_take
     from dousa.retrieval.takes.labeller_training import train_labeller
 

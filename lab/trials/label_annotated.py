@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dousa.experiments.annotated.trial import learn_clip_judge
+from dousa.experiments.annotated_takes import learn_clip_judge
 from dousa.experiments.metrics import TrueSegment, compare_timeline
 from dousa.formats.registry import read_motion
 from dousa.motion import canonicalise

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dousa.experiments.annotated.trial import learn_clip_judge
+from dousa.experiments.annotated_takes import learn_clip_judge
 from dousa.retrieval import TakeLabeller, label_take, train_labeller
 from dousa.retrieval.features.posed_motion import LabelledClip
 from dousa.retrieval.forest.stretches import StretchJudge

@@ -24,7 +24,7 @@ import numpy as np
 from sklearn.neighbors import KNeighborsClassifier
 
 from dousa.app.pipelines.experiment_clips import read_labelled_clips
-from dousa.experiments.annotated.trial import learn_clip_judge
+from dousa.experiments.annotated_takes import learn_clip_judge
 from dousa.experiments.metrics import TimelineCounts, TrueSegment, add_counts, compare_timeline
 from dousa.formats import ReadOptions
 from dousa.retrieval.features.posed_motion import AnnotatedTake, LabelledClip

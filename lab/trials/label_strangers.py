@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dousa.experiments.annotated.trial import learn_clip_judge
+from dousa.experiments.annotated_takes import learn_clip_judge
 from dousa.retrieval.features.posed_motion import LabelledClip
 from dousa.retrieval.takes.label import Timeline, label_take
 from dousa.retrieval.takes.labeller_training import train_labeller

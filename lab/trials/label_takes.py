@@ -22,7 +22,7 @@ from sklearn.ensemble import ExtraTreesClassifier
 
 from dousa.app.pipelines.experiment_clips import read_annotated_takes
 from dousa.arrays import FloatArray, IndexArray
-from dousa.experiments.annotated.trial import (
+from dousa.experiments.annotated_takes import (
     LabelTake,
     LearnToLabel,
     cut_segments,

@@ -22,7 +22,7 @@ import numpy as np
 
 from dousa.library import ClipInfo, Library, SearchResult
 from dousa.library.search import search as search_room
-from dousa.library.search.part_search import Group
+from dousa.library.search.search import Group
 
 SETS = {
     "hdm05": "name:HDM_(..)_",

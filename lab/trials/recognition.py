@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 
 from dousa.app.pipelines.experiment_clips import read_labelled_clips
-from dousa.experiments.annotated.trial import cut_segments
+from dousa.experiments.annotated_takes import cut_segments
 from dousa.experiments.runner import describe_copies, fit_forest, leave_performer_out, make_forest, split_half
 from dousa.formats import ReadOptions, read_motion
 from dousa.library.results import MIRROR_ODDS

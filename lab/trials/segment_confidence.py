@@ -33,7 +33,7 @@ from sklearn.isotonic import IsotonicRegression
 
 from dousa.app.pipelines.experiment_clips import read_annotated_takes, read_labelled_clips
 from dousa.arrays import FloatArray
-from dousa.experiments.annotated.trial import cut_segments, learn_clip_judge
+from dousa.experiments.annotated_takes import cut_segments, learn_clip_judge
 from dousa.formats import ReadOptions
 from dousa.retrieval.features.channels import sample_positions
 from dousa.retrieval.features.posed_motion import AnnotatedTake, LabelledClip

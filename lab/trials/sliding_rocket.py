@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from dousa.arrays import FloatArray, IntArray
-from dousa.experiments.annotated.trial import LabelTake
+from dousa.experiments.annotated_takes import LabelTake
 from dousa.motion.canonical.joints import JOINT_INDEX
 from dousa.retrieval.features.channels import sample_positions
 from dousa.retrieval.features.posed_motion import AnnotatedTake

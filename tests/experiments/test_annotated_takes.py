@@ -9,7 +9,7 @@ from oracles.short_actions import make_clip
 from oracles.standing import standing
 
 from dousa.errors import MotionFileError, TrainingError
-from dousa.experiments.annotated.trial import NEVER_UNKNOWN, OURS, run_annotated_takes_experiment
+from dousa.experiments.annotated_takes import NEVER_UNKNOWN, OURS, run_annotated_takes_experiment
 from dousa.motion.annotation import Stretch
 from dousa.retrieval.features.posed_motion import AnnotatedTake
 from dousa.retrieval.takes.label import Segment

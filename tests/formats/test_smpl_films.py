@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dousa.files.pickles import load_pickle
-from dousa.formats.arrays import loading
+from dousa.formats.arrays import content
 from dousa.formats.parts import are_all, list_untaken
 from dousa.formats.registry import is_motion_file, read_motion
 from dousa.motion import Motion, canonicalise, compute_trajectories
@@ -200,7 +200,7 @@ def test_many_samples_are_loaded_once(tmp_path, monkeypatch):
     joints, _ = points.make_points("HumanML3D")
     motion = np.moveaxis(np.repeat(joints[None], 30, axis=0), 1, 3)
     path, loads = save(tmp_path / "results.pkl", pickle.dumps({"motion": motion})), []
-    monkeypatch.setattr(loading, "load_pickle", lambda file: [loads.append(file), load_pickle(file)][1])
+    monkeypatch.setattr(content, "load_pickle", lambda file: [loads.append(file), load_pickle(file)][1])
     addresses = list_untaken(path, read_motion(path).provenance.notes)
     notes = {one: read_motion(one).provenance.notes for one in addresses}
     assert (len(notes), len(loads), are_all(notes)) == (30, 2, True)

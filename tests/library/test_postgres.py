@@ -146,7 +146,7 @@ def test_tables_of_another_version_are_refused_and_not_changed(url, library_file
 
 
 def test_few_modules_speak_sqlite():
-    own = {"engine.py", "log_marks.py", "backup.py", "compact.py", "damage.py", "repair.py", "side_file.py"}
+    own = {"engine.py", "backup.py", "compact.py", "damage.py", "repair.py", "side_file.py"}
     texts = {path.name: path.read_text(encoding="utf-8") for path in Path(library.__file__).parent.rglob("*.py")}
     words = ("exec_driver_sql", "sqlite3", "sa.text(")
     assert {name for name, text in texts.items() if any(word in text for word in words)} <= own

@@ -11,8 +11,8 @@ from oracles.dense_clips import NO_FEATURES, make_clips
 from dousa.errors import OptionError
 from dousa.formats.registry import read_motion, write_motion
 from dousa.library import Library
-from dousa.library.search.part_search import Group, rank_groups
 from dousa.library.search.ranking import Asked
+from dousa.library.search.search import Group, rank_groups
 from dousa.library.store.forests import TreeAnswers
 from dousa.motion import canonicalise, compute_trajectories
 from dousa.motion.canonical.canonicalise import mirror_canonical

@@ -1,5 +1,5 @@
-from .annotated.scores import AnnotatedTakesResult as AnnotatedTakesResult
-from .annotated.trial import run_annotated_takes_experiment as run_annotated_takes_experiment
+from .annotated_takes import AnnotatedTakesResult as AnnotatedTakesResult
+from .annotated_takes import run_annotated_takes_experiment as run_annotated_takes_experiment
 from .metrics import Scores as Scores
 from .metrics import compute_scores as compute_scores
 from .recognition import ExperimentResult as ExperimentResult

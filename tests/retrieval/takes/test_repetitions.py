@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from oracles.short_actions import ACTIONS, make_clip, make_library
 
-from dousa.experiments.annotated.trial import learn_clip_judge
+from dousa.experiments.annotated_takes import learn_clip_judge
 from dousa.motion.canonical.canonicalise import mirror_positions
 from dousa.retrieval.takes.label import TakeLabeller, label_take
 from dousa.retrieval.takes.labeller_training import train_labeller

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from oracles.short_actions import ACTIONS, make_clip, make_library
 
-from dousa.experiments.annotated.trial import cut_segments, learn_clip_judge
+from dousa.experiments.annotated_takes import cut_segments, learn_clip_judge
 from dousa.motion.annotation import Stretch
 from dousa.motion.canonical.joints import JOINT_INDEX
 from dousa.retrieval.features.posed_motion import AnnotatedTake

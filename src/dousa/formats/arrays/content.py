@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import os
 import re
 from collections.abc import Iterator, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,11 +14,12 @@ from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
 from dousa.errors import MotionFileError
+from dousa.files.disk import read_bytes
 from dousa.files.frame_files import natural_key
+from dousa.files.npz_arrays import open_npz, parse_head, read_head
+from dousa.files.pickles import load_pickle
 from dousa.formats.arrays.bodies import Body, as_array, list_bodies, name_people
-from dousa.formats.arrays.features import FEATURES, MOTION_X, recover_joints
 from dousa.formats.arrays.joints import build_joints, find_joints, is_joint_array, list_layouts, measure_unevenness
-from dousa.formats.arrays.loading import load_content, name_kind
 from dousa.formats.parts import choose, distinguish, load_once
 from dousa.formats.smpl import AIST_RATE, build_smpl, mean_body, read_rate
 from dousa.formats.smpl_poses import JOINTS_OF, are_poses, as_turns, find_roles, rank_place
@@ -25,6 +28,115 @@ from dousa.motion import Motion, Trajectories
 from dousa.motion.canonical.anthropometry import measure_proportions
 from dousa.motion.canonical.recipes import named_recipes
 from dousa.motion.canonical.tree_shape import spread_frames
+from dousa.motion.rotations import rotate
+
+
+def name_kind(path: str | os.PathLike[str]) -> str:
+    """Return the name of a format of arrays: the suffix."""
+    return os.path.splitext(os.fspath(path))[1].lower().lstrip(".")
+
+
+def load_content(path: str | os.PathLike[str]) -> dict[Any, Any]:
+    """Load the content of a file by its suffix; an array without a name is given under the name "".
+
+    Raises
+    ------
+    MotionFileError : missing, damaged, objects that are no plain values.
+    """
+    return {"npy": _load_npy, "npz": _load_npz}.get(name_kind(path), load_pickle)(path)
+
+
+def _load_npy(path: str | os.PathLike[str]) -> dict[Any, Any]:
+    data = read_bytes(path)
+    head = read_head(io.BytesIO(data))
+    if head is None:
+        raise MotionFileError(path, "arrays.no_npy")
+    if b"'|O'" in head:
+        return load_pickle(path, data[len(head) :])
+    header, left = parse_head(head), len(data) - len(head)
+    if header is None or header.dtype.kind not in "iuf":
+        raise MotionFileError(path, "arrays.not_plain")
+    if header.n_bytes != left:
+        raise MotionFileError(path, "arrays.size", shape=str(header.shape), found=left)
+    return {"": header.shape_data(np.frombuffer(data, header.dtype, offset=len(head)))}
+
+
+def _load_npz(path: str | os.PathLike[str]) -> dict[Any, Any]:
+    """The arrays of numbers and texts, and the dictionaries in the place of one; other members are left out.
+
+    Of a body neither are meshes read, nor anything else that has three axes and no part in its poses.
+    """
+    content: dict[Any, Any] = {}
+    refused: MotionFileError | None = None
+    with open_npz(path, partial(MotionFileError, path)) as file:
+        roles = find_roles(file.names)
+        poses = set(roles.values()) if are_poses(roles) else None
+        for name in file.names:
+            pickled = file.read_pickled(name)
+            try:
+                if pickled is not None:
+                    content[name] = load_pickle(path, pickled)
+                    continue
+                with file.open(name) as (header, _):
+                    is_mesh = poses is not None and name not in poses and len(header.shape) > 2
+                if not is_mesh:
+                    content[name] = file.read(name, "iufU", most=file.most)
+            except MotionFileError as error:
+                if error.code in ("npz.ends", "npz.size", "npz.large", "npz.damaged"):
+                    raise
+                refused = error
+    if refused is not None and not content:
+        raise refused
+    return content
+
+
+FEATURES = {263: 22, 251: 21}
+"""Joints by the width of a row, by the definition of HumanML3D."""
+
+MOTION_X = 322
+"""Width of a row of Motion-X (Lin et al., 2023): the first 156 are rotation vectors of SMPL-H, 309 to 311 the place of
+the root."""
+
+
+def recover_joints(path: str | os.PathLike[str], rows: NDArray[np.floating], uneven: float = 0.1) -> FloatArray:
+    """Compute the places of joints (T, J, 3) m, Y up, from rows (T, 263) or (T, 251).
+
+    HumanML3D (Guo et al., Generating diverse and natural 3D human motions from text, CVPR 2022; ``recover_from_ric``):
+    with J joints a row has 12 J - 1 numbers: half the turn of the root about Y in a frame, its velocity along X and Z
+    in its own heading, its height, the places of the other joints seen from the root in its heading, and rotations,
+    velocities and contacts, which say the same again. 263 are 22 joints, 251 the 21 of KIT-ML.
+
+    Parameters
+    ----------
+    path : for the message.
+    rows : as they are, not divided by their spread over a data set.
+    uneven : share by which the shanks, left and right, vary at most (standard deviation): the bones of rows that were
+        divided by their spread, or are of another kind, have no length.
+
+    Raises
+    ------
+    MotionFileError : rows that make no body.
+    """
+    values = rows.astype(np.float64)
+    n_joints = FEATURES[values.shape[1]]
+    heading = np.concatenate(([0.0], np.cumsum(values[:-1, 0])))
+    # The quaternion has the angle itself, not half of it: a row holds half of the turn.
+    back = np.stack((np.cos(heading), 0 * heading, -np.sin(heading), 0 * heading), axis=1)
+    steps = np.zeros((len(values), 3))
+    steps[1:, 0], steps[1:, 2] = values[:-1, 1], values[:-1, 2]
+    root = np.cumsum(rotate(back, steps), axis=0)
+    others = values[:, 4 : 4 + 3 * (n_joints - 1)].reshape(len(values), n_joints - 1, 3)
+    joints = rotate(back[:, None], others) + root[:, None]
+    root[:, 1] = values[:, 3]
+    joints = np.concatenate((root[:, None], joints), axis=1)
+    lengths = np.linalg.norm(joints[:, _KNEES[n_joints]] - joints[:, _ANKLES[n_joints]], axis=-1)
+    if not (np.isfinite(lengths).all() and lengths.mean() > 0 and lengths.std() <= uneven * lengths.mean()):
+        raise MotionFileError(path, "arrays.features", found=rows.shape[1])
+    return joints
+
+
+# Left and right in the order of the joints (layouts.toml), by the definition of HumanML3D and KIT-ML.
+_KNEES, _ANKLES = {22: [4, 5], 21: [17, 12]}, {22: [7, 8], 21: [18, 13]}
 
 
 def read_arrays(
