@@ -5,8 +5,8 @@ BIN := $(VENV)/bin
 JOBS ?= 2
 BLENDER ?= 4.5
 
-# Left to `make test-slow`: pages in a browser, commands of the documents, long properties.
-SLOW := browser or documents or nightly
+# Left to `make test-slow`: pages in a browser, commands of the documents, long properties, what is dear (tests/dear.toml).
+SLOW := browser or documents or nightly or dear
 # A worker begins with its own half and takes from the other's when it is done: files stay together, and what their tests
 # share is made and compiled once. Tests start many processes: each would compile the whole package anew where Python is
 # told to keep nothing of it. The workers fill the cores: threads that share one matrix would wait for each other there.
@@ -39,11 +39,11 @@ test-slow: $(VENV)/.dev
 
 # The tests of libraries once more, each library a database of a PostgreSQL server that they start.
 test-postgres: $(VENV)/.dev
-	DOUSA_TEST_DATABASE=postgresql $(PYTEST) $(JOBS) -m "not ($(SLOW))" tests/library $(COVERED)
+	DOUSA_TEST_DATABASE=postgresql $(PYTEST) $(JOBS) -m "not nightly" tests/library $(COVERED)
 
 # What CI runs with every submission: tests/submission.py says what is left to `make nightly`.
 submission: $(VENV)/.dev
-	$(PYTEST) $(MORE) -rRs -m "not nightly" $(COVERED)
+	$(PYTEST) $(JOBS) -rRs -m "not nightly" $(COVERED)
 
 # Everything: all tests in one go, those of libraries on PostgreSQL, style, types, the site and the packages.
 nightly: $(VENV)/.all
@@ -62,11 +62,11 @@ types: $(VENV)/.dev
 coverage: $(VENV)/.dev
 	$(BIN)/python .ci/print_coverage.py
 
-# The packages as they are released, and the wheel tried in an environment of its own.
+# The packages as they are released, and the wheel tried in an environment of its own; with PLAIN=1 without extras alone.
 wheel: $(VENV)/.dev
 	rm -rf dist
 	$(BIN)/python -m build --outdir dist .
-	$(BIN)/python .ci/try_wheel.py dist
+	$(BIN)/python .ci/try_wheel.py dist $(if $(PLAIN),--plain)
 
 fuzz: $(VENV)/.dev
 	DOUSA_FUZZ_SECONDS=300 $(BIN)/pytest -m fuzz

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,11 +18,16 @@ from submission import DOCUMENTS, JOBS
 os.environ["DOUSA_LANG"] = "en"  # whatever the locale of the machine is; commands in processes of their own inherit it
 # A loaded machine is slow, not wrong; CI tries the same examples each time, whoever works at it tries new ones.
 settings.register_profile(
-    "dousa", deadline=None, derandomize="CI" in os.environ, suppress_health_check=[HealthCheck.too_slow]
+    "dousa",
+    max_examples=100 if "NIGHTLY" in os.environ else 40,
+    deadline=None,
+    derandomize="CI" in os.environ,
+    suppress_health_check=[HealthCheck.too_slow],
 )
 settings.load_profile("dousa")
 
 ROOT = Path(__file__).resolve().parent
+DEAR = tomllib.loads((ROOT / "tests/dear.toml").read_text(encoding="utf-8"))
 SHARED_DATA = ROOT.parent / "shared" / "data"
 
 
@@ -39,10 +45,16 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     jobs = {(ROOT / "tests/app" / file, name) for file, names in JOBS.items() for name in names}
     for item in items:
         nightly = item.path.is_relative_to(ROOT / "lab") or item.get_closest_marker("slow") is not None
+        name = item.nodeid.partition("[")[0]
+        names = {name, name.rpartition("::")[0]}
+        nightly |= not names.isdisjoint(DEAR["nightly"])
+        if not names.isdisjoint(DEAR["submission"]):
+            item.add_marker(pytest.mark.dear)
         if "browser" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.browser)
             item.add_marker(pytest.mark.flaky(reruns=1))  # what passes only then is printed by its name
             nightly |= (item.path, getattr(item, "originalname", "")) not in jobs
+        nightly |= "firefox" in getattr(item, "fixturenames", ())
         if item.path.is_relative_to(ROOT / "tests" / "documents"):
             item.add_marker(pytest.mark.documents)
             nightly |= item.name not in DOCUMENTS and getattr(item, "originalname", "") not in DOCUMENTS

@@ -31,7 +31,7 @@ ROOMS = {
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 62_901,
+    "lines of tests": 62_350,
     "lines of JavaScript": 12_544,
     "constants": 1_062,
     "numeric constants without a source": 4,

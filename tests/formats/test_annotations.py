@@ -189,12 +189,6 @@ def test_boris_tabular_events(tmp_path):
     assert overlap.values["line"] == 7 and overlap.values["problem"].code == "label_files.overlap"
 
 
-def test_the_table_of_one_take(tmp_path):
-    text = "\ufeffStart_s;End_s;Category\n0,5;1,25;手を叩く\n2;3;\n4;5;  walk   fast \n"
-    assert read(write(tmp_path, "s01.labels.csv", text)) == [(0.5, 1.25, "手を叩く"), (4.0, 5.0, "walk fast")]
-    assert read(write(tmp_path, "none.labels.csv", "start_s,end_s,category\n")) == []
-
-
 def test_a_table_of_several_takes(tmp_path):
     text = "file,start_s,end_s,category,tier\nb.bvh,1,2,walk,x\nsub/a.bvh,3,4,run,x\nb.bvh,1,2,slow,y\n"
     path = write(tmp_path, "all.csv", text)
@@ -226,15 +220,6 @@ def doubts(path: Path, tier: str | None = None) -> list[tuple[int | None, str]]:
     file = read_label_file(path)
     notes = [note.values for note in to_annotation(file, file.takes[""], tier)[1]]
     return [(values.get("line"), values["problem"].code.removeprefix("label_files.")) for values in notes]
-
-
-def test_labels_at_the_same_time_are_kept_and_the_same_label_counts_once(tmp_path):
-    path = write(tmp_path, "s01.csv", HEAD + "2,6,walk\n2,6,run\n2,6,walk\n2.0002,6,run\n")
-    assert read(path) == [(2.0, 6.0, "walk"), (2.0, 6.0, "run")]
-    assert doubts(path) == [(4, "twice"), (3, "overlap")]
-    file = read_label_file(path)
-    twice, overlap = (note.values["problem"] for note in to_annotation(file, file.takes[""])[1])
-    assert (twice.values["n"], overlap.values["n"]) == (2, 1)
 
 
 @pytest.mark.parametrize(

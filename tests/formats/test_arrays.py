@@ -118,13 +118,6 @@ def test_a_mesh_beside_the_poses_is_not_read(tmp_path):
     assert damaged != content and read_motion(save(tmp_path / "x.npz", damaged)).skeleton.n_joints == 22
 
 
-def test_names_in_an_npz(tmp_path):
-    points = np.random.default_rng(0).normal(size=(5, 4, 3))
-    names = np.array(["a", "b", "c", "d"])
-    motion = read_motion(save(tmp_path / "x.npz", made.make_npz(x=points, joint_names=names, fps=np.array(24))), up="y")
-    assert (motion.names, motion.frame_rate, codes(motion)) == (("a", "b", "c", "d"), 24.0, {"units.unknown"})
-
-
 def test_a_body_model(tmp_path):
     """Three vertices, joints that are means of them, one shape that moves a vertex up."""
     regressor = np.zeros((24, 3))

@@ -99,16 +99,6 @@ def test_any_motion_there_and_back(tmp_path_factory, seed, joints):
     np.testing.assert_allclose(np.abs((again.rotations[:, order] * motion.rotations).sum(axis=2)), 1, atol=1e-6)
 
 
-def test_a_walk_there_and_back(tmp_path):
-    motion = make_walk()
-    write_motion(motion, tmp_path / "x.glb")
-    again = read_motion(tmp_path / "x.glb")
-    assert (again.provenance.unit_source, again.provenance.up, again.frame_rate) == ("declared", "y", motion.frame_rate)
-    np.testing.assert_array_equal(again.skeleton.end_sites, motion.skeleton.end_sites)
-    np.testing.assert_allclose(again.skeleton.offsets, motion.skeleton.offsets, atol=1e-6)
-    np.testing.assert_allclose(canonicalise(again).positions, canonicalise(motion).positions, atol=1e-5)
-
-
 def test_nodes_with_axes_and_scales_of_their_own(tmp_path):
     """Above the joints a node that turns and shrinks, rest orientations in the joints, a skin: against matrices."""
     rng = np.random.default_rng(5)

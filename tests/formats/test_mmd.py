@@ -187,15 +187,6 @@ def _options():
     return ReadOptions()
 
 
-def test_out_as_bvh_and_back(tmp_path):
-    keys = [made.make_key("左足ＩＫ", 0), made.make_key("左足ＩＫ", 15, place=(0, 2, -2)), made.make_key("右足ＩＫ", 0)]
-    motion = read_motion(save(tmp_path / "x.vmd", made.make_vmd(keys)))
-    write_motion(motion, tmp_path / "x.bvh")
-    back = read_motion(tmp_path / "x.bvh", unit="cm", up="y")
-    np.testing.assert_allclose(places(back, "左ひざ"), places(motion, "左ひざ"), atol=1e-5)
-    assert canonicalise(back).mapping.table == "MMD"
-
-
 def test_old_header_and_short_file(tmp_path):
     data = made.make_vmd([made.make_key("センター", 0), made.make_key("左腕", 3)])
     rows = data[50 : 50 + 4 + 2 * 111]

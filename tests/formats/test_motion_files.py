@@ -28,11 +28,6 @@ def names(root: Path, *given: Path) -> list[str]:
     return [file.path.relative_to(root).as_posix() for file in files]
 
 
-def test_folders_give_known_suffixes_in_order(tmp_path):
-    touch(tmp_path, "b/2.BVH", "b/1.bvh", "a/x.amc", "a/x.asf", "notes.txt", "z.c3d", "a/deep/er/y.trc")
-    assert names(tmp_path) == ["z.c3d", "a/x.amc", "a/deep/er/y.trc", "b/1.bvh", "b/2.BVH"]
-
-
 def test_hidden_files_and_folders_are_left_out(tmp_path):
     touch(tmp_path, ".a.bvh", ".git/b.bvh", "c.bvh")
     assert names(tmp_path) == ["c.bvh"]

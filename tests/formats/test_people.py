@@ -134,16 +134,6 @@ def test_what_is_no_second_person_stays(tmp_path):
     assert found.names == hand.names and not any(note.code.startswith("parts.") for note in found.provenance.notes)
 
 
-def test_of_one_person_the_number_is_one(tmp_path):
-    write_motion(made.ANNA, tmp_path / "x.bvh")
-    assert read_motion(tmp_path / "x.bvh", person=1).n_frames == made.FRAMES
-    with pytest.raises(MotionFileError, match="'2'"):
-        read_motion(tmp_path / "x.bvh", person=2)
-    with pytest.raises(OptionError) as caught:
-        read_motion(tmp_path / "x.bvh", animation="Walk")
-    assert caught.value.code == "formats.animation"
-
-
 def test_a_part_that_an_array_cannot_have_is_refused(tmp_path):
     np.save(tmp_path / "x.npy", np.random.default_rng(1).normal(size=(9, 22, 3)))
     assert read_motion(tmp_path / "x.npy", person=1, animation="1").n_frames == 9

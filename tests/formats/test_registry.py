@@ -23,7 +23,6 @@ from dousa.formats.registry import (
     FORMATS,
     SUFFIXES,
     WRITERS,
-    find_reader,
     list_suffixes,
     load_plugins,
     read_motion,
@@ -205,13 +204,6 @@ def install(tmp_path, monkeypatch):
     yield install
     sys.modules.pop("walk_format", None)
     load_plugins.cache_clear()
-
-
-def test_a_package_adds_a_format(install, tmp_path):
-    install("walk = walk_format:WALK", "broken = walk_format:NOTHING")
-    write_motion(PATH, tmp_path / "take.walk")
-    assert find_reader(tmp_path / "take.walk").name == "walk"
-    np.testing.assert_array_equal(read_motion(tmp_path / "take.walk").positions, PATH.positions)
 
 
 @pytest.mark.parametrize(

@@ -71,12 +71,6 @@ def test_units(saved, unit, metres):
         np.testing.assert_allclose(got.positions, EXPECTED * metres)
 
 
-def test_given_unit_and_axis_win(saved):
-    got = read_trc(saved(HEADER + ROWS), unit="cm", up="z")
-    np.testing.assert_allclose(got.positions[0, 0], [10, 30, -20])
-    assert (got.provenance.unit_source, got.provenance.up_source) == ("given", "given")
-
-
 @pytest.mark.parametrize("gap", ["\t\t\t", " \t \t ", "nan\tNaN\tNAN", "\t2\t3"])
 def test_missing_cells(saved, gap):
     got = read_trc(saved(HEADER + ROWS.replace("1000\t2000\t3000", gap.removesuffix("\t"))), up="y")
@@ -199,10 +193,3 @@ def test_real_files(shared_data, tmp_path):
         assert (got.provenance.unit, got.provenance.up) == (1.0, "y")
         write_trc(got, tmp_path / name)
         np.testing.assert_array_equal(read_trc(tmp_path / name).positions, got.positions)
-
-
-def test_values_are_those_of_python(shared_data):
-    path = shared_data("pose2sim/Balancing_for_IK.trc")
-    rows = [line.split("\t")[2:] for line in path.read_text().splitlines()[5:] if line.strip()]
-    expected = np.array([[float(cell) for cell in row] for row in rows]).reshape(100, 21, 3)
-    np.testing.assert_array_equal(read_trc(path).provenance.values, expected)

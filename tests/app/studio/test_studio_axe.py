@@ -27,7 +27,9 @@ def wait_until_filled(page, path):
         page.wait("return document.querySelectorAll('.cell').length > 3")
 
 
-@pytest.mark.parametrize(("language", "schemes"), [("en", ("light", "dark")), ("ja", ("dark", "light"))])
+@pytest.mark.parametrize(
+    ("language", "schemes"), [("en", ("light", "dark")), pytest.param("ja", ("dark", "light"), marks=pytest.mark.slow)]
+)
 @pytest.mark.parametrize("path", PAGES)
 def test_every_page_is_without_a_fault(show, check, path, language, schemes):
     page = show(path, scheme=schemes[0], language=language)
