@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from dousa.errors import MotionFileError, OptionError
-from dousa.evaluation import read_furi, read_weights, write_furi
+from dousa.evaluation import format_furi, read_furi, read_weights
 from dousa.evaluation.figures.furi import Furi
 from dousa.formats.registry import write_motion
 from dousa.motion.synthetic.performers import draw_performer, make_motion
@@ -61,7 +61,7 @@ def test_a_label_is_no_longer_than_a_line_of_the_page(tmp_path):
     with pytest.raises(MotionFileError, match=r"furi.txt:2: expected a label of at most 100 letters, got 5000"):
         read_furi(path, 30.0, 100)
     with pytest.raises(OptionError, match="label"):
-        write_furi(path, [Furi(0, 10, "x" * 101)], 30.0)
+        format_furi([Furi(0, 10, "x" * 101)], 30.0)
 
 
 def test_ctrl_c_in_a_compiled_loop_is_an_interruption(monkeypatch, capsys):

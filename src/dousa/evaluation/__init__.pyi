@@ -41,7 +41,6 @@ from .figures.furi import find_furi as find_furi
 from .figures.furi import fit_furi_eigenspaces as fit_furi_eigenspaces
 from .figures.furi import format_furi as format_furi
 from .figures.furi import read_furi as read_furi
-from .figures.furi import write_furi as write_furi
 from .grade.assessment import ABOUT_REFERENCES as ABOUT_REFERENCES
 from .grade.assessment import AdjustableAssessment as AdjustableAssessment
 from .grade.assessment import assess as assess

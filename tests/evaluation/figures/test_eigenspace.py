@@ -189,14 +189,6 @@ def test_several_takes_are_pooled():
     assert pooled.n_frames == sum(map(len, takes)) and third[1] < third[0]
 
 
-def test_weights_are_as_good_as_repeating_frames():
-    poses = wander(9, 30)
-    counts = np.random.default_rng(0).integers(0, 3, 30)
-    weighted = fit_eigenspace(poses, weights=counts, yaw="plain")
-    repeated = fit_eigenspace(np.repeat(poses, counts, axis=0), yaw="plain")
-    assert np.allclose(weighted.variances, repeated.variances, atol=1e-5)
-
-
 @pytest.mark.parametrize("n_frames", [1, 2, 50])
 def test_one_who_stands_still_has_a_space_without_axes(n_frames):
     pose = wander(1, 1)
@@ -231,9 +223,6 @@ def test_long_stretches_are_compared_in_pieces():
         ({"contribution": 0.0}, OptionError, "contribution: expected a share above 0"),
         ({"contribution": np.nan}, OptionError, "got nan"),
         ({"contribution": 1.1}, OptionError, "got 1.1"),
-        ({"weights": np.ones(3)}, OptionError, "one per frame"),
-        ({"weights": np.zeros(40)}, OptionError, "not all 0"),
-        ({"weights": np.full(40, -1.0)}, OptionError, "0 or above"),
         ({"yaw": "none"}, OptionError, "'robust' or 'plain', got 'none'"),
     ],
 )

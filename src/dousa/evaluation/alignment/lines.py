@@ -165,29 +165,23 @@ class LineFollower:
     ----------
     reference : at the working rate.
     tempo, weights : as for `align`.
-    offset : reference frame at performance frame 0, if it is known; then nothing is searched.
     kept_s : s of the past that may still change.
     """
 
-    def __init__(
-        self, reference: Working, tempo: str, weights: FloatArray, offset: float | None, *, kept_s: float = 30.0
-    ) -> None:
-        self._reference, self._tempo, self._weights, self._offset = reference, tempo, weights, offset
+    def __init__(self, reference: Working, tempo: str, weights: FloatArray, *, kept_s: float = 30.0) -> None:
+        self._reference, self._tempo, self._weights = reference, tempo, weights
         self._step = max(1, round(reference.frame_rate / COARSE_RATE))
         self._rate, self._kept_s = reference.frame_rate / self._step, kept_s
         kept = round(kept_s * self._rate)
         self._search = Course(reference.segments[:: self._step], self._rate, tempo, weights, kept)
         self._course = np.empty(0, np.int32)
         self._coarse_runs: list[Run] = []
-        self.runs = [Run(0, 0, offset or 0.0)]  # lines so far in working frames, the last one going on
-        self.known = offset is not None  # whether one line is clearly better than all others
+        self.runs = [Run(0, 0, 0.0)]  # lines so far in working frames, the last one going on
+        self.known = False  # whether one line is clearly better than all others
 
     def update(self, performance: Working) -> None:
         """Take all poses so far, at the working rate."""
         count, step = performance.n_frames, self._step
-        if self._offset is not None:
-            self.runs = [Run(0, count, self._offset)]
-            return
         rows = np.arange(len(self._course) * step, count, step)
         self._search.extend(performance.segments[rows])
         traced = self._search.trace()
@@ -222,7 +216,7 @@ class LineFollower:
             if not here.any():
                 continue
             there[here] = frames[here] + run.offset
-            if self._tempo == "free" and self._offset is None and run.end > run.start:
+            if self._tempo == "free" and run.end > run.start:
                 there[here] = self._follow_tempo(self._coarse_runs[number], frames[here])
         return there
 

@@ -88,9 +88,7 @@ class Eigenspace:
         return difference.reshape(*difference.shape[:-2], _WIDTH)
 
 
-def fit_eigenspace(
-    segments: ArrayLike, contribution: float = 0.99, weights: ArrayLike | None = None, yaw: str = "robust"
-) -> Eigenspace:
+def fit_eigenspace(segments: ArrayLike, contribution: float = 0.99, yaw: str = "robust") -> Eigenspace:
     """Fit the eigenspace of the postures of a furi.
 
     The yaw reference is the mean posture: every posture is turned onto it and the mean taken again until it
@@ -100,7 +98,6 @@ def fit_eigenspace(
     ----------
     segments : (T, 9, 3) unit vectors, Y up; frames of several takes may follow each other.
     contribution : above 0 and up to 1; as many axes as hold this share of the variance.
-    weights : (T,) of the frames, 0 or above; None for equal ones.
     yaw : ``"robust"``, or ``"plain"`` for the paper's.
 
     Returns
@@ -111,7 +108,7 @@ def fit_eigenspace(
     Raises
     ------
     InvalidMotionError : no frame, another shape, or missing values.
-    OptionError : a contribution, weights or yaw that cannot be.
+    OptionError : a contribution or yaw that cannot be.
 
     Source: Yamane and Shakunaga, section 3.1, covariance over the number of frames. They do not say what the
     postures of a furi are turned onto.
@@ -123,10 +120,9 @@ def fit_eigenspace(
         raise OptionError("eigenspace.contribution", contribution=contribution)
     if yaw not in ("robust", "plain"):
         raise OptionError("eigenspace.yaw", yaw=yaw)
-    shares = _check_shares(weights, len(poses))
-    aligned, mean, bias = _settle(poses, shares, yaw)
+    aligned, mean, bias = _settle(poses, yaw)
     centred = (aligned - mean).reshape(len(poses), _WIDTH)
-    spread, directions = np.linalg.eigh((centred * shares[:, None]).T @ centred)
+    spread, directions = np.linalg.eigh(centred.T @ centred / len(poses))
     spread, directions = np.maximum(spread[::-1], 0.0), directions[:, ::-1]
     n_dims, held = _count_axes(spread, contribution)
     axes = directions[:, :n_dims]
@@ -137,67 +133,42 @@ def fit_eigenspace(
     return Eigenspace(mean, axes, variances, held, len(poses), yaw, bias)
 
 
-def _check_shares(weights: ArrayLike | None, n_frames: int) -> FloatArray:
-    """(T,) weights that add up to 1."""
-    if weights is None:
-        return np.full(n_frames, 1.0 / n_frames)
-    array = np.asarray(weights, np.float64)
-    if array.shape != (n_frames,):
-        raise OptionError("eigenspace.weights_shape", n_frames=n_frames, shape=array.shape)
-    if not (np.isfinite(array.sum()) and (array >= 0).all() and array.sum() > 0):
-        raise OptionError("postures.weights")
-    return np.asarray(array / array.sum())
-
-
 def _estimate(poses: FloatArray, mean: FloatArray, yaw: str) -> FloatArray:
     return estimate_yaw(mean, poses) if yaw == "plain" else estimate_robust_yaw(mean, poses)[0]
 
 
 def _settle(
-    poses: FloatArray,
-    shares: FloatArray,
-    yaw: str,
-    *,
-    max_rounds: int = 20,
-    settled: float = 1e-6,
-    most_learnt: int = 512,
+    poses: FloatArray, yaw: str, *, max_rounds: int = 20, settled: float = 1e-6, most_learnt: int = 512
 ) -> tuple[FloatArray, FloatArray, float]:
     """All postures turned onto their mean (T, 9, 3), the mean (9, 3), and the bias of the angle."""
     # max_rounds: of turning all postures onto the mean and taking the mean again; settled: the mean posture has moved
     # less than this; most_learnt: postures that settle the mean where there are more
     # An even choice of the frames finds the direction; all of them make the mean.
     step = -(-len(poses) // most_learnt)
-    some, weights = poses[::step], shares[::step]
-    if not weights.sum() > 0:
-        some, weights = poses, shares
-    weights = weights / weights.sum()
-    mean = _choose_start(some, weights)
+    some = poses[::step]
+    mean = _choose_start(some)
     for _ in range(max_rounds):
         before = mean
-        mean = _turn_onto(some, weights, before, yaw)[1]
+        mean = _turn_onto(some, before, yaw)[1]
         if np.abs(mean - before).max() < settled:
             break
     if step > 1:
-        mean = _turn_onto(poses, shares, mean, yaw)[1]
-    return _turn_onto(poses, shares, mean, yaw)
+        mean = _turn_onto(poses, mean, yaw)[1]
+    return _turn_onto(poses, mean, yaw)
 
 
-def _turn_onto(
-    poses: FloatArray, shares: FloatArray, target: FloatArray, yaw: str
-) -> tuple[FloatArray, FloatArray, float]:
+def _turn_onto(poses: FloatArray, target: FloatArray, yaw: str) -> tuple[FloatArray, FloatArray, float]:
     """Postures turned onto a target, their mean, and how much further they were turned for it to face like it."""
     turned = rotate_yaw(poses, _estimate(poses, target, yaw))
-    bias = float(estimate_yaw(target, np.tensordot(shares, turned, axes=1)))
+    bias = float(estimate_yaw(target, turned.mean(axis=0)))
     turned = rotate_yaw(turned, bias)
-    return turned, np.tensordot(shares, turned, axes=1), bias
+    return turned, turned.mean(axis=0), bias
 
 
-def _choose_start(poses: FloatArray, weights: FloatArray, *, most_candidates: int = 64) -> FloatArray:
+def _choose_start(poses: FloatArray, *, most_candidates: int = 64) -> FloatArray:
     """The medoid: the pose that correlates best with the others, of an even choice of them."""
     # most_candidates: poses among which the first yaw reference is chosen
-    usable = np.flatnonzero(weights > 0)
-    step = -(-len(usable) // most_candidates)
-    some = poses[usable[::step]]
+    some = poses[:: -(-len(poses) // most_candidates)]
     likeness = np.abs(compute_complex_correlation(some[:, None], some[None]))
     # Rounding must not decide between poses that are equally good.
     return np.asarray(some[int(np.round(likeness.sum(axis=1), 9).argmax())])

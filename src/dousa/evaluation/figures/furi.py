@@ -30,7 +30,7 @@ from dousa.evaluation.figures.cuts import (
 )
 from dousa.evaluation.figures.eigenspace import Eigenspace, fit_eigenspace
 from dousa.evaluation.posture.posture import PostureSequence, check_segments
-from dousa.files.disk import atomic_write, read_small_text
+from dousa.files.disk import read_small_text
 from dousa.motion import CanonicalMotion
 
 
@@ -283,12 +283,11 @@ def _name(found: Sequence[tuple[int, int, str, int]]) -> tuple[Furi, ...]:
     return tuple(Furi(start, end, label or next(names)) for start, end, label, _ in found)
 
 
-def write_furi(path: str | os.PathLike[str], furi: Sequence[Furi], frame_rate: float) -> None:
-    """Write figures so that `read_furi` reads the same; the file appears whole or not at all.
+def format_furi(furi: Sequence[Furi], frame_rate: float) -> str:
+    """Write the text of a furi file, of which `read_furi` reads the same.
 
     Parameters
     ----------
-    path : text file to write or replace.
     furi : figures.
     frame_rate : Hz, for the times in the comments.
 
@@ -296,19 +295,6 @@ def write_furi(path: str | os.PathLike[str], furi: Sequence[Furi], frame_rate: f
     ------
     OptionError : a label that a furi file cannot hold: empty, with ``#``, with spaces, commas or quotes around it,
         longer than 100 letters.
-    MotionWriteError : the folder is missing or read-only, or the disk is full.
-    """
-    text = format_furi(furi, frame_rate)
-    with atomic_write(path) as file:
-        file.write(text.encode())
-
-
-def format_furi(furi: Sequence[Furi], frame_rate: float) -> str:
-    """Write the text of a furi file.
-
-    Raises
-    ------
-    OptionError : a label that a furi file cannot hold.
     """
     lines = [f"# start-end label, frames from 1, last one included, {frame_rate:g} frames/s"]
     for figure in furi:

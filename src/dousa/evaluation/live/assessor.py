@@ -63,6 +63,7 @@ _N_JOINTS = len(CANONICAL_JOINTS)
 _SIDES = np.array([[J[f"{side}_{joint}"] for joint in ("hip", "shoulder")] for side in ("left", "right")])
 # s from one look at the last seconds to the next, and how many these are: `lab.benchmarks.assess --agreement`
 _HOP_S, WINDOW_S = 2.0, 12.0
+_LOOK_AHEAD_S = {"same": 1.2, "free": 3.0}  # s, the largest lag, or as long as the line bends after a moment
 _MOVED = 0.25  # frames by which a line must have moved for its deviations to be measured again, see docs/evaluation.md
 
 
@@ -100,14 +101,10 @@ class IncrementalAssessor:
     ----------
     reference, furi, side, tempo, weights : as for `assess`; the side is not found by itself.
     frame_rate : Hz, of the frames that will come.
-    look_ahead_s : s, 1 or more, after which a moment is judged. With ``tempo="free"`` the line bends for 3 s after a
-        moment, so that a shorter look-ahead is less accurate.
-    offset_s : reference time at the first frame in s, if it is known (both start with the music); then no line is
-        searched, and who stops or skips is late or wrong from there on. None: the line is found, and followed.
 
     Raises
     ------
-    InvalidMotionError, OptionError : as `assess`; a frame rate or look-ahead that is none.
+    InvalidMotionError, OptionError : as `assess`; a frame rate that is none.
 
     Not in the paper. Where the answers may differ from those of the whole: with one reference the tolerance comes
     from the performer's own steadiness, here of the last minute, in the whole from all of it; a stop, skip or repeat
@@ -125,11 +122,12 @@ class IncrementalAssessor:
         side: str = "same",
         tempo: str = "same",
         weights: Mapping[str, float] | None = None,
-        look_ahead_s: float = 1.2,
-        offset_s: float | None = None,
     ) -> None:
         takes = [reference] if isinstance(reference, CanonicalMotion) else list(reference)
-        _check_numbers(frame_rate, look_ahead_s, offset_s)
+        if not (np.isfinite(frame_rate) and frame_rate > 0.0):
+            raise OptionError("live_evaluation.frame_rate", rate=frame_rate)
+        if frame_rate > 1000.0 * WORKING_RATE:
+            raise OptionError("live_evaluation.high_frame_rate", most=1000.0 * WORKING_RATE, rate=frame_rate)
         if not takes:
             raise InvalidMotionError("evaluation.no_reference")
         check_takes(takes, takes[0], side, tempo)
@@ -144,10 +142,9 @@ class IncrementalAssessor:
         self._figures = FigureMeter(first, self._furi, spaces)
         self._watcher = LagWatcher(working, self._weights)
         self._stride, self._working_rate = working[0].stride, working[0].frame_rate
-        offset = None if offset_s is None else offset_s * self._working_rate
-        self._line = LineFollower(working[0], tempo, self._weights, offset)
+        self._line = LineFollower(working[0], tempo, self._weights)
         self._window = _Window(self)
-        self._look_ahead = round(look_ahead_s * self._working_rate)
+        self._look_ahead = round(_LOOK_AHEAD_S[tempo] * self._working_rate)
         self._hop = max(2, round(_HOP_S * self._working_rate))
         self._joints, self._segments, self._seen = _Rows((_N_JOINTS, 3)), _Rows((9, 3)), _Rows((9,), np.bool_)
         self._heading, self._yaw, self._matched = _Rows(()), _Rows(()), _Rows(())
@@ -520,17 +517,6 @@ class _Rows:
             self._array = np.concatenate([self._array, np.empty_like(self._array)])
         self._array[self.count] = row
         self.count += 1
-
-
-def _check_numbers(frame_rate: float, look_ahead_s: float, offset_s: float | None) -> None:
-    if not (np.isfinite(frame_rate) and frame_rate > 0.0):
-        raise OptionError("live_evaluation.frame_rate", rate=frame_rate)
-    if frame_rate > 1000.0 * WORKING_RATE:
-        raise OptionError("live_evaluation.high_frame_rate", most=1000.0 * WORKING_RATE, rate=frame_rate)
-    if not (np.isfinite(look_ahead_s) and look_ahead_s >= 1.0):
-        raise OptionError("live_evaluation.look_ahead", seconds=look_ahead_s)
-    if offset_s is not None and not np.isfinite(offset_s):
-        raise OptionError("live_evaluation.offset", seconds=offset_s)
 
 
 def _check_frame(joints: ArrayLike) -> FloatArray:
