@@ -468,6 +468,16 @@ def test_a_squat_that_is_not_deep_is_short_in_the_knees_and_hips_at_the_lowest_p
     assert assess([model], model).events == ()
 
 
+def test_what_is_graded_like_one_of_the_references_has_no_joint_at_fault() -> None:
+    models = make_clips("squat", 4)
+    small, smaller = (
+        dataclasses.replace(models[k], positions=models[k].positions[:1] * (1.0 - share) + share * models[k].positions)
+        for k, share in ((0, 0.4), (1, 0.35))
+    )
+    assert any(event.fault for event in assess(models[2:], small).events)
+    assert not any(event.fault for event in assess([*models[2:], smaller], small).events)
+
+
 def test_an_arm_that_is_still_in_the_references_compensates() -> None:
     model = make_clips("squat", 1)[0]
     still = model.positions.copy()

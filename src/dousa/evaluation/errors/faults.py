@@ -95,8 +95,8 @@ class Fault:
     degrees : of the angle then.
     expected : degrees of the references at the same moment, in the performer's own posture.
     severity : in multiples of what people differ by who do it well.
-    is_clear : whether it is to be said: in a movement graded below `WELL` all as severe as 1, and beside several
-        references the worst; in one that is graded `WELL` or above none.
+    is_clear : whether it is to be said: in a movement that is not done well all as severe as 1, and beside several
+        references the worst; in one that is done well none.
     """
 
     angle: str
@@ -216,6 +216,7 @@ def find_faults(
     tolerances: Mapping[str, float] = TOLERANCE_DEG,
     *,
     grade: float = math.nan,
+    well: float = WELL,
     judged: NDArray[np.bool_] | None = None,
 ) -> tuple[Fault, ...]:
     """Find the joints that go otherwise than in repetitions done well, the worst first, one fault a joint.
@@ -229,6 +230,7 @@ def find_faults(
     n_people : takes of the reference: what one person does alone is a weaker measure.
     tolerances : as `TOLERANCE_DEG`.
     grade : of the repetition; nan for none.
+    well : grade from which on it is done well.
     judged : (9,) segments whose joints are looked at; None for all.
     """
     usual, theirs, lasting = compare_all(one, references)
@@ -258,7 +260,7 @@ def find_faults(
             degrees=degrees,
             expected=degrees - float(usual[at, k]),
             severity=float(severity[k]),
-            is_clear=not grade >= WELL and bool(severity[k] >= 1.0 or (grade < WELL and n_people > 1 and not found)),
+            is_clear=not grade >= well and bool(severity[k] >= 1.0 or (grade < well and n_people > 1 and not found)),
         )
         found.setdefault(fault.joint, fault)
     return tuple(found.values())

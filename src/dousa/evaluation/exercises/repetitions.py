@@ -12,13 +12,14 @@ import numpy as np
 
 from dousa.arrays import FloatArray
 from dousa.errors import InvalidMotionError
-from dousa.evaluation.errors.faults import DescribedRepetition, Fault, describe_repetition, find_faults
+from dousa.evaluation.errors.faults import WELL, DescribedRepetition, Fault, describe_repetition, find_faults
 from dousa.evaluation.exercises.split import Repetition, find_reference_repetitions, find_repetitions
 from dousa.evaluation.exercises.trends import Trend, adjust_for_many, estimate_trend
 from dousa.evaluation.figures.furi import Furi, find_furi
 from dousa.evaluation.grade.assessment import check_seen, check_takes, compute_all_postures, is_single, judge
 from dousa.evaluation.grade.references import ReferenceTakes, prepare_references
 from dousa.evaluation.grade.result import Assessment, name_joints
+from dousa.evaluation.grade.score import find_well
 from dousa.evaluation.posture.posture import PostureSequence, compute_postures, spread_weights
 from dousa.evaluation.posture.range_of_motion import (
     ANGLES,
@@ -211,6 +212,7 @@ class _Grading:
         self.tempo = tempo
         self._models, self._weights = models, weights
         self._ready: tuple[ReferenceTakes, tuple[Furi, ...]] | None = None
+        self.well = WELL  # grade from which on a repetition is done well, as soon as one is graded
 
     def assess(self, cut: CanonicalMotion) -> Assessment | None:
         """Of one repetition; None for one that is too short, or not seen, to be graded."""
@@ -221,6 +223,7 @@ class _Grading:
         if self._ready is None:
             references = prepare_references(postures, self.tempo, self._weights)
             self._ready = references, find_furi(references.postures)
+            self.well = find_well(references, self._weights)
         references, figures = self._ready
         return judge(references, figures, played, tempo=self.tempo, weights=self._weights)
 
@@ -245,9 +248,9 @@ def _measure(
         ranges = measured.measure(one.start, one.end, expected)
         graded = grading.assess(_cut(played, one.start, one.end)) if one.complete else None
         score = _NAN if graded is None else float(graded.score)
-        faults = find_faults(measured.describe(one.start, one.end), models, len(takes), grade=score)
+        faults = find_faults(measured.describe(one.start, one.end), models, len(takes), grade=score, well=grading.well)
         first_s = max(one.start - _count_margin(played), 0) / played.frame_rate
-        if graded is not None and is_single(graded):
+        if graded is not None and is_single(graded, grading.well):
             graded = name_joints(graded, [fault.move(-first_s) for fault in faults])
         assessed.append(
             AssessedRepetition(

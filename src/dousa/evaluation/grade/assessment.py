@@ -41,7 +41,7 @@ from dousa.evaluation.grade.result import (
     describe_warnings,
     name_joints,
 )
-from dousa.evaluation.grade.score import grade_performance
+from dousa.evaluation.grade.score import find_well, grade_performance
 from dousa.evaluation.posture.posture import (
     SEGMENTS,
     PostureSequence,
@@ -304,7 +304,10 @@ def look_at_figures(
 
 def name_faults(references: ReferenceTakes, found: Assessment) -> Assessment:
     """Name the joints at fault in a single movement, such as an exercise, that is not done well."""
-    if not is_single(found) or not math.isfinite(found.furi[0].start_s):
+    if not is_single(found, WELL) or not math.isfinite(found.furi[0].start_s):
+        return found
+    well = find_well(references, found.weights)
+    if not is_single(found, well):
         return found
     start, end = (round(time * found.frame_rate) for time in (found.furi[0].start_s, found.furi[0].end_s))
     ours, *theirs = (
@@ -315,12 +318,12 @@ def name_faults(references: ReferenceTakes, found: Assessment) -> Assessment:
         )
     )
     judged = (found.weights > 0.0) & ~np.isin(SEGMENTS, found.not_judged)
-    return name_joints(found, find_faults(ours, theirs, len(theirs), grade=found.score, judged=judged))
+    return name_joints(found, find_faults(ours, theirs, len(theirs), grade=found.score, well=well, judged=judged))
 
 
-def is_single(found: Assessment) -> bool:
-    """Whether a performance is a single movement, and graded below `WELL` or unlike the reference."""
-    return len(found.furi) == 1 and (found.score < WELL or found.score_formula.code == "grade.unlike")
+def is_single(found: Assessment, well: float) -> bool:
+    """Whether a performance is a single movement, and not graded as done well, or unlike the reference."""
+    return len(found.furi) == 1 and (found.score < well or found.score_formula.code == "grade.unlike")
 
 
 def _make_clocks(

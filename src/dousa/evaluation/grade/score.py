@@ -10,15 +10,26 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
+from itertools import combinations, permutations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
-from dousa.evaluation.grade.movement import PARTS, Difference, find_coverage, find_extent, find_parts, find_seen
+from dousa.evaluation.errors.faults import WELL
+from dousa.evaluation.grade.movement import (
+    PARTS,
+    Difference,
+    compare_movements,
+    find_agreement,
+    find_coverage,
+    find_extent,
+    find_parts,
+    find_seen,
+)
 from dousa.evaluation.grade.references import ReferenceTakes
 from dousa.messages import Message
 
@@ -158,3 +169,26 @@ def grade_performance(
     coverage = find_coverage(differences, weights) if frames is None else 1.0
     extent, seen = find_extent(differences, weights), find_seen(differences, weights)
     return compute_grade(parts, extent, coverage, len(references.working), seen=seen)
+
+
+def find_well(references: ReferenceTakes, weights: FloatArray) -> float:
+    """Find the grade from which on a single movement is done well: `WELL`, or what the others give a take of the
+    reference, where that is less. What one take does is right.
+
+    Parameters
+    ----------
+    references : one take or several.
+    weights : (9,) of the segments, those above 0 of mean 1.
+    """
+    takes = range(len(references.movements))
+    apart = {
+        (i, k): compare_movements(references.movements[i], references.movements[k]) for i, k in permutations(takes, 2)
+    }
+    lowest = WELL
+    for k in takes:
+        others = [i for i in takes if i != k]
+        if others:
+            agreement = find_agreement([apart[pair] for pair in combinations(others, 2)])
+            among = replace(references, agreement=agreement)
+            lowest = np.fmin(lowest, grade_performance(among, [apart[i, k] for i in others], weights).score)
+    return float(lowest)

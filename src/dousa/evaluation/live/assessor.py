@@ -20,7 +20,7 @@ from dousa.evaluation.alignment.lines import Alignment, Lapse, LineFollower, Run
 from dousa.evaluation.alignment.pairing import compare_poses
 from dousa.evaluation.errors.causes import tell_errors
 from dousa.evaluation.errors.descriptors import choose_stride, join_descriptors
-from dousa.evaluation.errors.deviations import YAW_WINDOW_S, Deviations, compute_deviations, merge_takes
+from dousa.evaluation.errors.deviations import MAX_LAG_S, YAW_WINDOW_S, Deviations, compute_deviations, merge_takes
 from dousa.evaluation.errors.evidence import Evidence, Tolerance, gather_evidence
 from dousa.evaluation.errors.findings import Finding
 from dousa.evaluation.errors.judge import decode, load_judge
@@ -63,7 +63,6 @@ _N_JOINTS = len(CANONICAL_JOINTS)
 _SIDES = np.array([[J[f"{side}_{joint}"] for joint in ("hip", "shoulder")] for side in ("left", "right")])
 # s from one look at the last seconds to the next, and how many these are: `lab.benchmarks.assess --agreement`
 _HOP_S, WINDOW_S = 2.0, 12.0
-_LOOK_AHEAD_S = {"same": 1.2, "free": 3.0}  # s, the largest lag, or as long as the line bends after a moment
 _MOVED = 0.25  # frames by which a line must have moved for its deviations to be measured again, see docs/evaluation.md
 
 
@@ -144,7 +143,8 @@ class IncrementalAssessor:
         self._stride, self._working_rate = working[0].stride, working[0].frame_rate
         self._line = LineFollower(working[0], tempo, self._weights)
         self._window = _Window(self)
-        self._look_ahead = round(_LOOK_AHEAD_S[tempo] * self._working_rate)
+        # The largest lag; or as long as the line of a free tempo bends after a moment, see `smooth_course`.
+        self._look_ahead = round((1.0 if tempo == "same" else 2.5) * MAX_LAG_S * self._working_rate)
         self._hop = max(2, round(_HOP_S * self._working_rate))
         self._joints, self._segments, self._seen = _Rows((_N_JOINTS, 3)), _Rows((9, 3)), _Rows((9,), np.bool_)
         self._heading, self._yaw, self._matched = _Rows(()), _Rows(()), _Rows(())
