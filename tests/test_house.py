@@ -18,8 +18,8 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_979, 115),
-    "estimation": (16_449, 69),
+    "app": (26_064, 116),
+    "estimation": (16_473, 69),
     "evaluation": (12_114, 46),
     "experiments": (1_699, 8),
     "files": (1_149, 8),
@@ -31,7 +31,7 @@ ROOMS = {
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 62_320,
+    "lines of tests": 62_350,
     "lines of JavaScript": 12_544,
     "constants": 1_062,
     "numeric constants without a source": 4,

@@ -10,7 +10,7 @@ import pytest
 
 from app.made_landmarks import NAMES, OWN
 from dousa.app.pipelines import film_scene
-from dousa.app.pipelines.film_scene import shows_masks
+from dousa.app.pipelines.film_sources import shows_masks
 from dousa.errors import KeypointError
 from dousa.estimation import (
     PersonTrack,

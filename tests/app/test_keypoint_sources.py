@@ -2,12 +2,13 @@
 
 import json
 
+import cv2
 import numpy as np
 import pytest
 from oracles.made_films import Performance, make_cameras
 from oracles.made_films import film as make_film
 
-from dousa.estimation import read_cameras, write_cameras
+from dousa.estimation import read_cameras, write_cameras, write_silhouettes
 from dousa.estimation.keypoints.keypoint_json import COCO_17, HALPE_26
 from dousa.formats.registry import read_motion
 
@@ -139,6 +140,35 @@ def test_a_motion_of_every_programs_keypoints(dousa, scene, written, program, tm
     answer = json.loads(out)
     assert read_motion(tmp_path / "out.bvh").frame_rate == pytest.approx(RATE)
     assert not answer["lost_frames"] and not any("assumed" in note for note in answer["warnings"])
+
+
+def draw_hulls(view):
+    """Masks (T, H, W) of a quarter of the size: the hulls of all points."""
+    masks = np.zeros((view.n_frames, view.size[1] // 4, view.size[0] // 4), np.uint8)
+    for mask, points in zip(masks, view.people[0].points, strict=True):
+        cv2.fillConvexPoly(mask, cv2.convexHull((points[np.isfinite(points[:, 0])] / 4).astype(np.int32)), 255)
+    return masks
+
+
+@pytest.mark.parametrize("form", ["one file", "folders"])
+def test_masks_beside_keypoints_are_of_the_same_views(dousa, scene, written, form, tmp_path):
+    masks = {name: draw_hulls(view) for name, view in scene[1].items()}
+    if form == "one file":
+        sources = [tmp_path / "clip.npz"]
+        write_silhouettes(sources[0], list(masks.values()), frame_rate=RATE)
+    else:
+        sources = [tmp_path / name for name in masks]
+        for folder, pictures in zip(sources, masks.values(), strict=True):
+            folder.mkdir()
+            for frame, picture in enumerate(pictures):
+                cv2.imwrite(str(folder / f"{frame:04d}.png"), picture)
+    words = ("--cameras", scene[0], "--rate", RATE, "--frames", "0:8", "-o", tmp_path / "out.bvh", "--json")
+    code, out, error = dousa("estimate", *written("openpose"), *sources, "--cues", "both", *words)
+    assert code == 0, error
+    answer = json.loads(out)
+    assert answer["iou"]["mean"] > 0.4 and len(answer["views"]) == 2
+    code, _, error = dousa("estimate", *written("openpose")[:1], sources[-1], sources[-1], *words)
+    assert code == 2 and "Traceback" not in error
 
 
 def test_cameras_of_keypoints(dousa, scene, written, tmp_path):

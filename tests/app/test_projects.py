@@ -9,7 +9,7 @@ from oracles.made_films import Performance, make_cameras
 from oracles.made_films import film as make_film
 
 from app.test_keypoint_sources import to_rows, write_openpose
-from dousa.app.pipelines.film_scene import name_films
+from dousa.app.pipelines.film_sources import name_films
 from dousa.app.pipelines.projects import find_project
 from dousa.estimation import MEDIAPIPE_NAMES, write_cameras
 from dousa.estimation.keypoints.keypoint_json import HALPE_26

@@ -157,7 +157,7 @@ class TestMaterials:
 
     def test_a_film_and_its_keypoints_are_one_view(self, scene):
         files = [scene / "view1.mp4", scene / "view1.npz", scene / "view2.mp4", scene / "view3.npz"]
-        pairs = [(one.name, one.source.name, one.film and one.film.name) for one in pair_films(files)]
+        pairs = [(one.name, one.source.name, one.film and one.film.name) for one in pair_films(files).views]
         assert pairs == [
             ("view1", "view1.npz", "view1.mp4"),
             ("view2", "view2.mp4", "view2.mp4"),

@@ -29,9 +29,9 @@ from dousa.app.pipelines.film_scene import (
     is_films,
     open_films,
     open_plates,
-    shows_masks,
     with_outputs,
 )
+from dousa.app.pipelines.film_sources import PairedSources, pair_sources, shows_masks
 from dousa.app.pipelines.projects import take_project
 from dousa.app.pipelines.track_log import PartialFile, describe_files, fingerprint
 from dousa.arrays import FloatArray
@@ -247,8 +247,11 @@ def estimate_sources(
     DousaError : what can be put right by the person who reads it.
     """
     request = take_project(request, tell)
-    if _takes_keypoints(request, tell):
-        return estimate_films(request, progress)
+    sources = pair_sources(request.sources)
+    if _takes_keypoints(replace(request, sources=tuple(view.source for view in sources.views)), tell):
+        return estimate_films(request, sources, progress)
+    if sources.masks:
+        request = replace(request, sources=sources.masks)
     for option, given in (("--person", request.person != 1), ("--everybody", request.everybody)):
         if given:
             raise OptionError("film_estimate.needs_keypoints", option=option)
@@ -275,8 +278,10 @@ def _takes_keypoints(request: EstimationRequest, tell: Callable[[Message], None]
     return False
 
 
-def estimate_films(request: EstimationRequest, progress: ProgressCallback | None = None) -> tuple[Estimation, ...]:
-    """Estimate the motions of people in films from their keypoints.
+def estimate_films(
+    request: EstimationRequest, sources: PairedSources, progress: ProgressCallback | None = None
+) -> tuple[Estimation, ...]:
+    """Estimate the motions of people in films from their keypoints; ``sources`` are those of the request.
 
     Raises
     ------
@@ -289,7 +294,7 @@ def estimate_films(request: EstimationRequest, progress: ProgressCallback | None
     if request.mirrored:
         raise OptionError("film_estimate.mirrored")
     require("cv2", "film")
-    films = open_films(request, report)
+    films = open_films(request, sources, report)
     names = films.found[0].names
     people = match_people(films.cameras, films.list_people(), names)
     if not people:
@@ -310,7 +315,8 @@ def estimate_films(request: EstimationRequest, progress: ProgressCallback | None
         if numbered is not request:
             check_outputs(numbered.outputs, numbered.inputs)
         try:
-            answers.append(estimate_person(numbered, films, person, report, alone=is_alone(people)))
+            seen = replace(numbered, sources=sources.seen)
+            answers.append(estimate_person(seen, films, person, report, alone=is_alone(people)))
         except KeypointError:
             if not answers:
                 raise
@@ -391,7 +397,7 @@ def estimate_person(
     if request.body is not None and request.stature is not None:
         raise OptionError("estimate.body_and_stature")
     given, notes = (None, ()) if request.body is None else load_given_body(request.body, request.options)
-    plates = open_plates(request, report) if alone else ()
+    plates = open_plates(request, films, report) if alone else ()
     silhouettes = PersonSilhouettes(films, person.members, request.sources, plates)
     if request.cues == "both" and not silhouettes.has_masks:
         raise OptionError("film_estimate.no_masks")
@@ -413,7 +419,7 @@ def estimate_person(
             estimate = replace(estimate, body=body)
         estimate = measure_overlap(estimate, silhouettes, cameras)
     warnings = [*films.warnings, *silhouettes.warnings, *notes]
-    if has_plates(request) and not plates:
+    if (has_plates(request) or films.masks) and not plates:
         warnings.append(Message("film_estimate.plates_unused"))
     warnings += describe_fit(fit, films.cameras, request.stature is not None)
     warnings += describe_doubts(estimate, estimate.body, films.names, cameras)

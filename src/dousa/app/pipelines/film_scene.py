@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import threading
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,9 +13,10 @@ import numpy as np
 
 from dousa.app.pipelines.doubts import parse_frames
 from dousa.app.pipelines.estimation_views import check_count, read_view_cameras
+from dousa.app.pipelines.film_sources import PairedSources, is_keypoints, name_films, shows_masks
 from dousa.arrays import FloatArray, Image, Mask, nearest_frames
-from dousa.errors import CalibrationError, KeypointError, OptionError, SilhouetteError
-from dousa.estimation.silhouettes.silhouettes import Silhouettes
+from dousa.errors import CalibrationError, KeypointError, OptionError
+from dousa.estimation.silhouettes.silhouettes import Silhouettes, View
 from dousa.messages import Message
 
 if TYPE_CHECKING:
@@ -30,31 +30,8 @@ if TYPE_CHECKING:
     from dousa.estimation.sync.sound import Sound
 
 
-_KEYPOINT_SUFFIXES = (".npz", ".json", ".csv", ".tsv", ".trc", ".npy")
 _FOCAL_35 = ("focal_length.35mm", "focallengthin35mm")
 _FRAME_35 = 36.0  # mm, by definition the longer side of a 35 mm picture
-
-
-def is_keypoints(path: Path) -> bool:
-    """Whether a source holds keypoints, and is not a film."""
-    return path.is_dir() or path.suffix.lower() in _KEYPOINT_SUFFIXES
-
-
-def name_films(paths: Sequence[Path]) -> tuple[str, ...]:
-    """Different names for films: without folder and suffix; of those of one name with the nearest folder that differs.
-
-    Raises
-    ------
-    OptionError : one film is given twice.
-    """
-    of_name: dict[str, list[Path]] = {}
-    for path in paths:
-        of_name.setdefault(path.stem, []).append(path)
-    names = [path.stem if len(of_name[path.stem]) == 1 else _tell_apart(path, of_name[path.stem]) for path in paths]
-    if len(set(names)) < len(names):
-        twice = next(name for name, times in Counter(names).items() if times > 1)
-        raise OptionError("films.twice", name=twice)
-    return tuple(names)
 
 
 class PictureFacts(Protocol):
@@ -68,18 +45,12 @@ class PictureFacts(Protocol):
     def cameras(self) -> Path | None: ...
 
 
-def _tell_apart(path: Path, others: Sequence[Path]) -> str:
-    """Name a film by the nearest folder that differs from those of films with its name, and this name."""
-    depths = range(min(len(other.parents) for other in others))
-    apart = (depth for depth in depths if len({other.parents[depth].name for other in others}) == len(others))
-    return f"{path.parents[next(apart, 0)].name}_{path.stem}"
-
-
 def open_keypoints(
     paths: Sequence[Path],
     model: LandmarkModel | None,
     progress: ProgressCallback,
     known: PictureFacts | None = None,
+    names: Sequence[str] | None = None,
 ) -> tuple[ViewKeypoints, ...]:
     """Find the keypoints of films, or read files of keypoints; of each the source is its name.
 
@@ -89,6 +60,7 @@ def open_keypoints(
     model : by which keypoints are found in films; None for the most precise that is installed.
     progress : called with (done, total, what).
     known : what files of keypoints do not state.
+    names : of the films; by default those of `name_films`.
 
     Raises
     ------
@@ -106,7 +78,7 @@ def open_keypoints(
         raise OptionError("films.rate", found=rate)
     given = None if size is None else parse_size(size)
     counts = list(map(count_views, paths))
-    names = _name_views(name_films(paths), counts, cameras)
+    names = _name_views(names or name_films(paths), counts, cameras)
     usual = find_sizes(cameras if any(map(is_keypoints, paths)) else None, names)
     filmed = [path for path in paths if not is_keypoints(path)]
     for path in filmed:
@@ -252,6 +224,7 @@ class FilmScene:
     offsets : (V,) s, what each film's own clock shows at moment 0.
     first_frame : number of the first moment.
     warnings : what a person should know.
+    masks : files or folders of masks of the person, given beside keypoints.
     """
 
     names: tuple[str, ...]
@@ -262,6 +235,7 @@ class FilmScene:
     offsets: FloatArray
     first_frame: int
     warnings: tuple[Message, ...]
+    masks: tuple[Path, ...] = ()
 
     def list_people(self) -> list[list[PersonTrack]]:
         """(V,) the people of each view at the common moments, where they are seen."""
@@ -273,14 +247,17 @@ class FilmScene:
         ]
 
 
-def open_films(request: EstimationRequest, report: ProgressCallback) -> FilmScene:
+def open_films(request: EstimationRequest, sources: PairedSources, report: ProgressCallback) -> FilmScene:
     """Keypoints and cameras of all films.
 
     Raises
     ------
     DousaError : a film or calibration that cannot be used, or models that are not installed.
     """
-    return place_films(request, open_keypoints(request.sources, request.model, report, request), report)
+    names = [view.name for view in sources.views]
+    found = open_keypoints([view.source for view in sources.views], request.model, report, request, names)
+    scene = place_films(replace(request, sources=sources.seen), found, report)
+    return replace(scene, masks=sources.masks)
 
 
 def place_films(
@@ -446,7 +423,7 @@ class PersonSilhouettes(Silhouettes):
     films : on one clock.
     members : (V,) numbers of the people of each view who are the person.
     sources : (V,) films, whose pictures lie behind the masks; there are none if any of them holds keypoints.
-    plates : (V,) silhouettes of each film by its background, which are taken instead.
+    plates : (V,) masks of each film by its background, or given, which are taken instead; None for a view without.
     """
 
     def __init__(
@@ -454,17 +431,20 @@ class PersonSilhouettes(Silhouettes):
         films: FilmScene,
         members: Sequence[Sequence[int]],
         sources: Sequence[Path] = (),
-        plates: Sequence[Silhouettes] = (),
+        plates: Sequence[View | None] = (),
     ) -> None:
         from dousa.estimation.silhouettes.video import reduce_size
 
         self.names, self.frame_rate = films.names, films.frame_rate
         self.n_frames = len(films.moments)
-        self.sizes = tuple(plate.sizes[0] for plate in plates) or tuple(reduce_size(view.size) for view in films.found)
         self._found, self._plates = films.found, plates
+        given = plates or (None,) * len(films.found)
+        self.sizes = tuple(reduce_size(view.size) if plate is None else plate.size
+                           for view, plate in zip(films.found, given, strict=True))  # fmt: skip
         self._sources = () if any(map(is_keypoints, sources)) else tuple(sources)
         self._files: list[VideoFile] = []
-        clocks = [np.arange(plate.n_frames) / plate.frame_rate for plate in plates] or [v.times for v in films.found]
+        clocks = [view.times if plate is None else _find_times(plate)
+                  for view, plate in zip(films.found, given, strict=True)]  # fmt: skip
         self._frames = [nearest_frames(times, films.moments + offset)
                         for times, offset in zip(clocks, films.offsets, strict=True)]  # fmt: skip
         self._masks: list[list[PersonMasks]] = [
@@ -480,13 +460,13 @@ class PersonSilhouettes(Silhouettes):
     @property
     def warnings(self) -> tuple[Message, ...]:  # type: ignore[override]
         """What is said of the backgrounds."""
-        return tuple(note for plate in self._plates for note in plate.warnings)
+        return tuple(note for plate in self._plates if plate is not None for note in plate.warnings)
 
     def read(self, frame: int) -> tuple[Mask | None, ...]:
         """The masks (height, width) of all views in one frame; None where a view has no image then."""
         if self._plates:
             own_frames = zip(self._plates, self._frames, strict=True)
-            return tuple(plate.read(int(places[frame]))[0] for plate, places in own_frames)
+            return tuple(None if plate is None else plate.read(int(places[frame])) for plate, places in own_frames)
         masks: list[Mask | None] = []
         for view, found in enumerate(self._found):
             place = int(self._frames[view][frame])
@@ -499,11 +479,11 @@ class PersonSilhouettes(Silhouettes):
         from dousa.estimation.silhouettes.video import VideoFile
         from dousa.extras import cv2
 
-        if self._plates:
-            own_frames = zip(self._plates, self._frames, strict=True)
-            return tuple(plate.look(int(places[frame]))[0] for plate, places in own_frames)
         if not self._sources:
             return super().look(frame)
+        if self._plates:
+            own_frames = zip(self._plates, self._frames, strict=True)
+            return tuple(None if plate is None else plate.look(int(places[frame])) for plate, places in own_frames)
         self._files = self._files or [VideoFile(path) for path in self._sources]
         pictures: list[Image | None] = []
         for file, places, size in zip(self._files, self._frames, self.sizes, strict=True):
@@ -517,30 +497,46 @@ class PersonSilhouettes(Silhouettes):
         for file in self._files:
             file.close()
         for plate in self._plates:
-            plate.close()
+            if plate is not None:
+                plate.close()
 
     def fit_cameras(self, cameras: Sequence[Camera]) -> tuple[Camera, ...]:
         """Cameras (V,) of the films' pictures for pictures of the masks' size."""
         return tuple(camera.resized(*size) for camera, size in zip(cameras, self.sizes, strict=True))
 
 
-def open_plates(request: EstimationRequest, report: ProgressCallback) -> tuple[Silhouettes, ...]:
-    """The silhouettes (V,) of films by their backgrounds; none where these are not given.
+def _find_times(view: View) -> FloatArray:
+    """Times (T,) s of a view's frames since the first."""
+    return np.arange(view.n_frames) / view.frame_rate if view.times is None else view.times
+
+
+def open_plates(request: EstimationRequest, films: FilmScene, report: ProgressCallback) -> list[View | None]:
+    """Masks (V,) that are given, or those of films by their backgrounds; an empty list without either.
 
     Raises
     ------
-    SilhouetteError : a background that cannot be used.
+    CalibrationError : given masks belong to no view, or two of them to one.
+    SilhouetteError : masks or a background that cannot be used.
     """
-    from dousa.app.pipelines.estimation_views import open_bare_views
+    from dousa.estimation.cameras.camera import match_cameras
+    from dousa.estimation.silhouettes.silhouette_files import open_views
 
+    if films.masks:
+        given = open_views(films.masks, kind="mask", frame_rate=request.rate)
+        cameras, _ = match_cameras(films.cameras, [view.name for view in given])
+        of_camera = {camera.name: view for camera, view in zip(cameras, given, strict=True)}
+        return [of_camera.get(camera.name) for camera in films.cameras]
     if not has_plates(request) or any(map(is_keypoints, request.sources)):
-        return ()
-    plates = request.backgrounds or (None,) * len(request.sources)
-    if len(plates) != len(request.sources):
-        open_bare_views(request, report)  # says so
-    return tuple(
-        open_bare_views(replace(request, sources=(film,), backgrounds=() if plate is None else (plate,)), report)
-        for film, plate in zip(request.sources, plates, strict=True)
+        return []
+    return list(
+        open_views(
+            request.sources,
+            request.backgrounds,
+            request.background_method,
+            request.kind,
+            request.rate,
+            progress=report,
+        )
     )
 
 
@@ -574,22 +570,6 @@ def check_scenes(paths: Sequence[Path], progress: ProgressCallback) -> None:
     for path in paths:
         if path.is_file() and path.suffix.lower() not in (".npz", *IMAGE_ENDINGS) and not shows_masks(path):
             check_steady(path, progress)
-
-
-def shows_masks(path: Path) -> bool:
-    """Whether a film is one of masks."""
-    from dousa.estimation.silhouettes.video import VideoFile, guess_video_kind
-
-    try:
-        file = VideoFile(path)
-    except SilhouetteError:
-        return False  # its reader describes the problem
-    try:
-        places = np.unique(np.linspace(0, file.n_frames - 1, 3).astype(int))
-        images = [file.read(int(place)) for place in places]
-    finally:
-        file.close()
-    return guess_video_kind([image for image in images if image is not None]) == "mask"
 
 
 def with_outputs(request: EstimationRequest, number: int) -> EstimationRequest:

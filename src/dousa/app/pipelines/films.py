@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dousa.app.pipelines.estimation_views import read_view_cameras
-from dousa.app.pipelines.film_scene import name_films, open_keypoints, read_sounds
+from dousa.app.pipelines.film_scene import open_keypoints, read_sounds
+from dousa.app.pipelines.film_sources import name_films
 from dousa.app.pipelines.projects import take_project
 from dousa.app.targets import KEYPOINTS, check_targets
 from dousa.errors import OptionError

@@ -32,7 +32,8 @@ Sources = Annotated[
     typer.Argument(
         metavar="SOURCE...",
         help="One npz of silhouettes (all views and the cameras in it), or for each view a folder of masks, a "
-        "video, or its keypoints as another program wrote them (.json, a folder of .json, .csv).",
+        "video, or its keypoints as another program wrote them (.json, a folder of .json, .csv). Masks beside "
+        "keypoints are of the same views, by name, else in order.",
     ),
 ]
 Backgrounds = Annotated[

@@ -265,16 +265,20 @@ def _add_world(
                  share * np.where(known, costs, 0.0).sum(axis=1))  # fmt: skip
 
 
-def angle_rest(body: BodyModel, rest: float = 0.8) -> tuple[FloatArray, FloatArray]:
+def angle_rest(body: BodyModel, rest: float = 0.8, trunk: float = 4.0) -> tuple[FloatArray, FloatArray]:
     """Return neutral angles (A,), and the cost of a squared radian off them.
 
-    One sigma of a joint of stiffness 1 is the share ``rest`` of half its range.
+    One sigma of a joint of stiffness 1 is the share ``rest`` of half its range. The trunk costs ``trunk`` times as
+    much: in recordings it keeps to a share of its range half as large as limbs do (lab/notes/estimation.md), and points
+    at hips and shoulders alone do not show how far the pelvis tilts beneath it.
     """
     ease, cost = [], []
-    for part, count in enumerate(body.n_axes):
-        half = 0.5 * np.ptp(body.limits[part, :count], axis=1)
-        ease.append(body.neutral[part, :count])
-        cost.append(body.stiffness[part] / (rest * np.maximum(half, 0.05)) ** 2)
+    for name, stiffness, limits, neutral, count in zip(
+        body.names, body.stiffness, body.limits, body.neutral, body.n_axes, strict=True
+    ):
+        half = 0.5 * np.ptp(limits[:count], axis=1)
+        ease.append(neutral[:count])
+        cost.append((trunk if name == "trunk" else 1.0) * stiffness / (rest * np.maximum(half, 0.05)) ** 2)
     return np.concatenate(ease), np.concatenate(cost)
 
 

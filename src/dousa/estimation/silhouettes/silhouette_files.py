@@ -67,6 +67,26 @@ def open_silhouettes(
     OptionError : options that do not fit the sources.
     """
     paths = [sources] if isinstance(sources, str | os.PathLike) else list(sources)
+    views = open_views(paths, backgrounds, method, kind, frame_rate, sizes, progress, longest_side)
+    try:
+        return synchronise(views, None, offsets, frames)
+    except BaseException:
+        for opened in views:
+            opened.close()
+        raise
+
+
+def open_views(
+    paths: Sequence[Path],
+    backgrounds: Sequence[Path] = (),
+    method: BackgroundMethod | None = None,
+    kind: VideoKind | None = None,
+    frame_rate: float | None = None,
+    sizes: Sequence[tuple[int, int]] | None = None,
+    progress: Progress | None = None,
+    longest_side: int = LONGEST_SIDE,
+) -> list[View]:
+    """Open views, each on its own clock; arguments and errors are those of `open_silhouettes`."""
     if not paths:
         raise SilhouetteError("mask_files.no_source")
     places = _list_places(paths)
@@ -87,7 +107,7 @@ def open_silhouettes(
                     views.append(MaskFolder(path, frame_rate, size))
                 else:
                     views.append(open_video(path, kind, method, plate, frame_rate, size, progress, longest_side))
-        return synchronise(views, None, offsets, frames)
+        return views
     except BaseException:
         for opened in views:
             opened.close()

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dousa.app.pipelines.film_sources import FilmSource, PairedSources, pair_sources, shows_masks
 from dousa.app.studio.core.answers import shorten, to_message
 from dousa.app.studio.jobs.lanes import Context
 from dousa.errors import KeypointError, OptionError
@@ -26,45 +27,13 @@ if TYPE_CHECKING:
 CAMERAS = "cameras.toml"
 
 
-@dataclass(frozen=True, slots=True)
-class FilmSource:
-    """One view.
-
-    Parameters
-    ----------
-    name : of the view.
-    source : of its keypoints: the film, or a file of keypoints.
-    film : whose pictures are shown; None for keypoints alone.
-    """
-
-    name: str
-    source: Path
-    film: Path | None
-
-
-def pair_films(sources: Sequence[Path], *, most: int = 8) -> tuple[FilmSource, ...]:
-    """Pair the films of a batch with files of keypoints found in them; OptionError for two of one name, or more than
-    ``most``: more would take hours of one processor."""
-    from dousa.app.pipelines.film_scene import name_films
-
-    films = [path for path in sources if not holds_keypoints(path)]
-    found = [path for path in sources if holds_keypoints(path)]
-    pairs: list[tuple[Path, Path | None]] = []
-    for path in sources:
-        if path in found:
-            pairs.append((path, next((film for film in films if _is_of(path, film)), None)))
-        elif not any(_is_of(other, path) for other in found):
-            pairs.append((path, path))
-    if len(pairs) > most:
-        raise OptionError("studio_films.many", most=most, found=len(pairs))
-    names = name_films([film or path for path, film in pairs])
-    return tuple(FilmSource(name, path, film) for name, (path, film) in zip(names, pairs, strict=True))
-
-
-def _is_of(keypoints: Path, film: Path) -> bool:
-    """Whether keypoints are named after a film: ``left.npz`` or ``left_json`` of ``left.mp4``."""
-    name, own = keypoints.stem if keypoints.suffix else keypoints.name, film.stem
-    return name == own or (name.startswith(own) and not name[len(own)].isalnum())
+def pair_films(sources: Sequence[Path], *, most: int = 8) -> PairedSources:
+    """Pair the films of a batch with keypoints and masks; OptionError for two of one name, or more than ``most`` views:
+    more would take hours of one processor."""
+    paired = pair_sources(sources)
+    if len(paired.views) > most:
+        raise OptionError("studio_films.many", most=most, found=len(paired.views))
+    return paired
 
 
 def takes_films(request: dict[str, Any], asked: EstimationRequest, tell: Callable[[Message], object]) -> bool:
@@ -72,7 +41,7 @@ def takes_films(request: dict[str, Any], asked: EstimationRequest, tell: Callabl
 
     Where models are missing and there is a calibration, silhouettes will do; ``tell`` is called with that.
     """
-    from dousa.app.pipelines.film_scene import has_models, is_films, shows_masks
+    from dousa.app.pipelines.film_scene import has_models, is_films
 
     if request.get("cues") is not None:
         return request["cues"] in ("keypoints", "both")
@@ -88,14 +57,14 @@ def takes_films(request: dict[str, Any], asked: EstimationRequest, tell: Callabl
     return False
 
 
-def check_films(asked: EstimationRequest) -> tuple[FilmSource, ...]:
-    """Return the views; DousaError if a model, a package or the stature is missing."""
+def check_films(asked: EstimationRequest) -> PairedSources:
+    """Return the views and masks; DousaError if a model, a package or the stature is missing."""
     from dousa.estimation.keypoints.pose_models import DETECTOR, choose_pose_model, find_pose_model
 
-    views = pair_films(asked.sources)
+    paired = pair_films(asked.sources)
     if asked.mirrored:
         raise OptionError("film_estimate.mirrored")
-    for view in views:
+    for view in paired.views:
         if view.film is not None or not holds_keypoints(view.source):
             require("av", "film")
         if not holds_keypoints(view.source):
@@ -103,9 +72,9 @@ def check_films(asked: EstimationRequest) -> tuple[FilmSource, ...]:
             for name in (DETECTOR, asked.model or choose_pose_model()):
                 find_pose_model(name)
     require("cv2", "film")
-    if len(views) > 1 and asked.cameras is None and asked.stature is None:
+    if len(paired.views) > 1 and asked.cameras is None and asked.stature is None:
         raise OptionError("studio_films.no_stature")
-    return views
+    return paired
 
 
 def estimate_from_films(
@@ -126,7 +95,8 @@ def estimate_from_films(
     from dousa.estimation.cameras.camera_files import write_cameras
     from dousa.estimation.multiview.people import match_people
 
-    views = check_films(asked)
+    paired = check_films(asked)
+    views = paired.views
     files = context.home / "files"
     named = [(view.name, None if view.film is None else view.film.relative_to(files).as_posix()) for view in views]
     left_out = [(int(view), int(track)) for view, track in request.get("left_out") or ()]
@@ -136,7 +106,7 @@ def estimate_from_films(
     found = _find_people(views, asked, context)
     record.find(found)
     kept, numbers = leave_out(found, left_out)
-    heard = replace(asked, sources=tuple(view.film or view.source for view in views))  # films have sound, and a lens
+    heard = replace(asked, sources=paired.seen)  # films have sound, and a lens
     scene = place_films(heard, kept, context.progress, choose_who_places(kept, numbers, wanted))
     record.place(scene, found)
     people = match_people(scene.cameras, scene.list_people(), kept[0].names)
@@ -144,9 +114,9 @@ def estimate_from_films(
         raise KeypointError("multiview.nobody")
     chosen = choose_person(people, numbers, wanted)
     record.match(people, chosen, numbers)
-    scene = replace(scene, warnings=(*scene.warnings, *check_agreement(scene, people)))
+    scene = replace(scene, warnings=(*scene.warnings, *check_agreement(scene, people)), masks=paired.masks)
     write_cameras(context.folder / CAMERAS, scene.cameras)
-    asked = _without_empty_overlay(asked, views, kept)
+    asked = _without_empty_overlay(heard, paired, kept)
     watcher = _Watcher(footage, record)
     return estimate_person(asked, scene, people[chosen], context.progress, watcher, alone=is_alone(people))
 
@@ -174,11 +144,12 @@ def _show_films(views: Sequence[FilmSource], record: FilmRecordWriter, context: 
 def _find_people(views: Sequence[FilmSource], asked: EstimationRequest, context: Context) -> tuple[ViewKeypoints, ...]:
     from dousa.app.pipelines.film_scene import open_keypoints
 
-    found = open_keypoints([view.source for view in views], asked.model, context.progress, asked)
+    names = [view.name for view in views]
+    found = open_keypoints([view.source for view in views], asked.model, context.progress, asked, names)
     for one in found:
         for note in one.warnings:
             context.tell(shorten(to_message(note), context.home))
-    return tuple(replace(one, source=view.name) for one, view in zip(found, views, strict=True))
+    return found
 
 
 def leave_out(
@@ -223,13 +194,11 @@ def choose_person(people: Sequence[MatchedPerson], numbers: Sequence[Sequence[in
 
 
 def _without_empty_overlay(
-    asked: EstimationRequest, views: Sequence[FilmSource], found: Sequence[ViewKeypoints]
+    asked: EstimationRequest, paired: PairedSources, found: Sequence[ViewKeypoints]
 ) -> EstimationRequest:
-    """Use the films as sources of the overlay's pictures; without films and masks there is no overlay."""
-    has_masks = any(person.masks is not None for view in found for person in view.people)
-    films = [view.film for view in views if view.film is not None]
-    asked = replace(asked, sources=tuple(view.film or view.source for view in views))
-    if len(films) == len(views) or has_masks:
+    """Return the request without overlay where there are neither films nor masks."""
+    has_masks = bool(paired.masks) or any(person.masks is not None for view in found for person in view.people)
+    if has_masks or all(view.film is not None for view in paired.views):
         return asked
     return replace(asked, outputs=replace(asked.outputs, overlay=None))
 
@@ -251,7 +220,7 @@ def look_at_films(asked: EstimationRequest, context: Context, answer: dict[str, 
     from dousa.app.pipelines.film_scene import find_sizes
     from dousa.estimation.body.human import USUAL_STATURE
 
-    views = pair_films(asked.sources)
+    views = pair_films(asked.sources).views
     for view, size in zip(views, find_sizes(asked.cameras, [view.name for view in views]), strict=True):
         answer["views"].append(_look_at_view(view, asked, size, answer))
     check_films(asked)

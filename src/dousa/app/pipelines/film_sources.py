@@ -1,0 +1,128 @@
+"""What belongs to one view: a film, its keypoints, and the masks of the person."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+from dousa.errors import OptionError, SilhouetteError
+from dousa.estimation.keypoints.keypoint_files import holds_keypoints
+
+_KEYPOINT_SUFFIXES = (".npz", ".json", ".csv", ".tsv", ".trc", ".npy")
+
+
+@dataclass(frozen=True, slots=True)
+class FilmSource:
+    """One view.
+
+    Parameters
+    ----------
+    name : of the view.
+    source : of its keypoints: the film, or a file of keypoints.
+    film : whose pictures are shown and whose sound is heard; None for keypoints alone.
+    """
+
+    name: str
+    source: Path
+    film: Path | None
+
+
+class PairedSources(NamedTuple):
+    """The views, and files or folders of masks, each of one view or of all."""
+
+    views: tuple[FilmSource, ...]
+    masks: tuple[Path, ...]
+
+    @property
+    def seen(self) -> tuple[Path, ...]:
+        """(V,) the film of each view; without one, its keypoints."""
+        return tuple(view.film or view.source for view in self.views)
+
+
+def pair_sources(sources: Sequence[Path]) -> PairedSources:
+    """Pair films with the keypoints named after them; what shows masks beside keypoints is no view of its own.
+
+    Raises
+    ------
+    OptionError : one film is given twice.
+    """
+    found = [path for path in sources if holds_keypoints(path)]
+    masks = [path for path in sources if found and path not in found and holds_masks(path)]
+    films = [path for path in sources if path not in found and path not in masks]
+    pairs: list[tuple[Path, Path | None]] = []
+    for path in sources:
+        if path in found:
+            pairs.append((path, next((film for film in films if _is_of(path, film)), None)))
+        elif path in films and not any(_is_of(other, path) for other in found):
+            pairs.append((path, path))
+    names = name_films([film or path for path, film in pairs])
+    views = tuple(FilmSource(name, path, film) for name, (path, film) in zip(names, pairs, strict=True))
+    return PairedSources(views, tuple(masks))
+
+
+def _is_of(keypoints: Path, film: Path) -> bool:
+    """Whether keypoints are named after a film: ``left.npz`` or ``left_json`` of ``left.mp4``."""
+    name, own = keypoints.stem if keypoints.suffix else keypoints.name, film.stem
+    return name == own or (name.startswith(own) and not name[len(own)].isalnum())
+
+
+def is_keypoints(path: Path) -> bool:
+    """Whether a source holds keypoints, and is not a film."""
+    return path.is_dir() or path.suffix.lower() in _KEYPOINT_SUFFIXES
+
+
+def holds_masks(path: Path) -> bool:
+    """Whether a source that holds no keypoints is a file, folder or film of masks."""
+    from dousa.estimation.silhouettes.images import find_mask_folders
+
+    if not path.is_dir():
+        return path.suffix.lower() == ".npz" or shows_masks(path)
+    try:
+        return bool(find_mask_folders(path))
+    except SilhouetteError:
+        return False
+
+
+def shows_masks(path: Path) -> bool:
+    """Whether a film is one of masks."""
+    import numpy as np
+
+    from dousa.estimation.silhouettes.video import VideoFile, guess_video_kind
+
+    try:
+        file = VideoFile(path)
+    except SilhouetteError:
+        return False  # its reader describes the problem
+    try:
+        places = np.unique(np.linspace(0, file.n_frames - 1, 3).astype(int))
+        images = [file.read(int(place)) for place in places]
+    finally:
+        file.close()
+    return guess_video_kind([image for image in images if image is not None]) == "mask"
+
+
+def name_films(paths: Sequence[Path]) -> tuple[str, ...]:
+    """Different names for films: without folder and suffix; of those of one name with the nearest folder that differs.
+
+    Raises
+    ------
+    OptionError : one film is given twice.
+    """
+    of_name: dict[str, list[Path]] = {}
+    for path in paths:
+        of_name.setdefault(path.stem, []).append(path)
+    names = [path.stem if len(of_name[path.stem]) == 1 else _tell_apart(path, of_name[path.stem]) for path in paths]
+    if len(set(names)) < len(names):
+        twice = next(name for name, times in Counter(names).items() if times > 1)
+        raise OptionError("films.twice", name=twice)
+    return tuple(names)
+
+
+def _tell_apart(path: Path, others: Sequence[Path]) -> str:
+    """Name a film by the nearest folder that differs from those of films with its name, and this name."""
+    depths = range(min(len(other.parents) for other in others))
+    apart = (depth for depth in depths if len({other.parents[depth].name for other in others}) == len(others))
+    return f"{path.parents[next(apart, 0)].name}_{path.stem}"
