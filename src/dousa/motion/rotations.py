@@ -49,12 +49,21 @@ def conjugate(quaternions: ArrayLike) -> FloatArray:
     return conjugated
 
 
+def cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Compute cross products (..., 3), several times faster than numpy on small arrays."""
+    result = np.empty(np.broadcast(a, b).shape)
+    result[..., 0] = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]
+    result[..., 1] = a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2]
+    result[..., 2] = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    return result
+
+
 def rotate(quaternions: ArrayLike, vectors: ArrayLike) -> FloatArray:
     """Turn vectors (..., 3) by unit quaternions (..., 4)."""
     q, v = np.asarray(quaternions, np.float64), np.asarray(vectors, np.float64)
     axis = q[..., 1:]
-    twice = 2.0 * np.cross(axis, v)
-    return v + q[..., :1] * twice + np.cross(axis, twice)
+    twice = 2.0 * cross(axis, v)
+    return v + q[..., :1] * twice + cross(axis, twice)
 
 
 def from_axis_angle(vectors: ArrayLike) -> FloatArray:

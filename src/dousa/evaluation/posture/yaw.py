@@ -408,7 +408,7 @@ def _find_yaw(
 
 def _take_median(reference: FloatArray, performance: FloatArray, judged: NDArray[np.bool_]) -> FloatArray:
     """(9, 3) median over the moments of the shortest turn of each segment."""
-    across = _cross(reference, performance)
+    across = rotations.cross(reference, performance)
     sine = np.linalg.norm(across, axis=2)
     angle = np.arctan2(sine, (reference * performance).sum(axis=2))
     turns = across * (angle / np.maximum(sine, 1e-9))[..., None]
@@ -416,12 +416,6 @@ def _take_median(reference: FloatArray, performance: FloatArray, judged: NDArray
         turns[~judged] = np.nan
         turns[:, ~judged.any(axis=0)] = 0.0
     return _find_median(turns)
-
-
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Cross products of (..., 3) vectors: `np.cross`, which takes three times as long."""
-    (x, y, z), (p, q, r) = np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)
-    return np.stack([y * r - z * q, z * p - x * r, x * q - y * p], axis=-1)
 
 
 def _refine(
@@ -449,7 +443,7 @@ def _refine(
     by_segment = turned.transpose(1, 0, 2)
     spread = (by_segment * trust.T[..., None]).transpose(0, 2, 1) @ by_segment
     left = (count * (1.0 + ridge) + 1e-9)[:, None, None] * np.eye(3) - spread
-    right = (_cross(turned, error) * trust[..., None]).sum(axis=0) - (ridge * count)[:, None] * vectors
+    right = (rotations.cross(turned, error) * trust[..., None]).sum(axis=0) - (ridge * count)[:, None] * vectors
     return vectors + np.linalg.solve(left, right[..., None])[..., 0], trust
 
 

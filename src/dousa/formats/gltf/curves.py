@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dousa.arrays import FloatArray, IndexArray
+from dousa.motion.rotations import normalise, slerp
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +68,7 @@ class Curve:
         start, end = points[before], points[after]
         if not self.turns:
             return start + share * (end - start)
-        return _slerp(start, end, share)
+        return slerp(normalise(start), normalise(end), share[:, 0])
 
     def _meet_turns(self, times: FloatArray, least: float = 0.01) -> FloatArray:
         """Put those of the keys where a value turns, begins or ends to move, for the times nearest to them.
@@ -104,17 +105,6 @@ class Curve:
             + span * (cube - square) * tangents_in[after]
         )
         return value
-
-
-def _slerp(start: FloatArray, end: FloatArray, share: FloatArray) -> FloatArray:
-    cosine = (start * end).sum(axis=1, keepdims=True)
-    end = np.where(cosine < 0, -end, end)
-    angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
-    sine = np.where(angle > 1e-5, np.sin(angle), 1.0)
-    first = np.where(angle > 1e-5, np.sin((1 - share) * angle) / sine, 1 - share)
-    second = np.where(angle > 1e-5, np.sin(share * angle) / sine, share)
-    turned: FloatArray = first * start + second * end
-    return turned
 
 
 # Hz, by the definition of docs/formats.md.

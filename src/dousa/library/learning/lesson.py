@@ -26,7 +26,6 @@ from dousa.library.store.features import find_feature_set, load_features
 from dousa.library.store.forests import StoredForest, TreeAnswers, find_leaves, load_forest, make_keys, update_forest
 from dousa.library.store.rows import fetch_in, portions, seal_rows, update_rows
 from dousa.library.store.schema import pack
-from dousa.retrieval.forest.calibration import Assessor
 from dousa.retrieval.forest.standing_leaves import MOST_EXAMPLES, StandingLeaves, choose_examples
 
 if TYPE_CHECKING:
@@ -222,11 +221,7 @@ def _work_out(connection: sa.Connection, where: str, stored: StoredForest, stamp
             own = np.where(stands, clips.given, -1)
             examples = made = make_examples(connection, stored, clips.ids, own, clips.leaves)
     growth = _grow(connection, stored, clips, (stands, examples), (features, labels, clips.ids[new]))
-    assessor = stored.assessor
-    if assessor is not None:
-        assessor = Assessor(growth.forest, assessor.calibration.with_clips(features, labels))
-    categories = tuple(str(name) for name in growth.forest.classes_)
-    grown = replace(stored, forest=growth.forest, categories=categories, assessor=assessor)
+    grown = stored.grown(growth.forest, features, labels)
     ids, leaves = _find_moved(connection, grown, clips, (stands, new), growth)
     learned = Learned(len(new), tuple(sorted(set(labels.tolist()) - known)))
     return _Lesson(stamp, grown, learned, teach_rows(stored, grown, rows, ids, leaves), made)

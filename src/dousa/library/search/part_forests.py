@@ -38,7 +38,6 @@ from dousa.library.store.rows import delete_rows, insert_rows
 from dousa.library.store.schema import pack, stack
 from dousa.messages import Message, Progress
 from dousa.retrieval.features.posed_motion import is_comparable, name_parts
-from dousa.retrieval.forest.calibration import Assessor
 
 if TYPE_CHECKING:
     from dousa.arrays import FloatArray
@@ -223,11 +222,7 @@ class Lesson:
             keys=make_keys(row.content_hash for row in new),
             feature_set=self.kind,
         )
-        assessor = stored.assessor
-        if assessor is not None:
-            assessor = Assessor(growth.forest, assessor.calibration.with_clips(features, labels))
-        categories = tuple(str(name) for name in growth.forest.classes_)
-        grown = replace(stored, forest=growth.forest, categories=categories, assessor=assessor)
+        grown = stored.grown(growth.forest, features, labels)
         moved = zip(ids[growth.moved].tolist(), growth.moved_leaves.astype(np.int32), strict=True)
         # Clips without a category stand in leaves that have grown, too.
         others = set(answers.leaves) & {row.id for row in self.material.rows if row.category is None}

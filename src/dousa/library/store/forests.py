@@ -72,6 +72,14 @@ class StoredForest:
         """Joints it does not use."""
         return find_feature_set(self.feature_set).hidden
 
+    def grown(self, forest: MotionForest, features: FloatArray, labels: NDArray[np.str_]) -> StoredForest:
+        """Return it with its forest grown by clips (M, T, F) of categories (M,)."""
+        assessor = self.assessor
+        if assessor is not None:
+            assessor = type(assessor)(forest, assessor.calibration.with_clips(features, labels))
+        categories = tuple(str(name) for name in forest.classes_)
+        return replace(self, forest=forest, categories=categories, assessor=assessor)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TreeAnswers:

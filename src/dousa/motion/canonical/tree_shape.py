@@ -18,6 +18,7 @@ from dousa.motion.canonical.anthropometry import score_ratio
 from dousa.motion.canonical.joints import CANONICAL_JOINTS
 from dousa.motion.canonical.joints import JOINT_INDEX as J
 from dousa.motion.canonical.recipes import Recipe, compile_recipe
+from dousa.motion.rotations import cross
 
 
 def _rows(*terms: tuple[float, str]) -> FloatArray:
@@ -53,19 +54,10 @@ _PART_TRUNKS = np.stack(
 )
 
 
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Cross product (..., 3), several times faster than numpy's on small arrays."""
-    result = np.empty(np.broadcast(a, b).shape)
-    result[..., 0] = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]
-    result[..., 1] = a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2]
-    result[..., 2] = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-    return result
-
-
 def _forward(vectors: FloatArray, sizes: FloatArray) -> FloatArray:
     """Unit vectors (T, 3) to the front, from the rows of `_ROWS` (T, 13, 3) and their lengths."""
     across = vectors[:, :2] / sizes[:, :2, None]
-    forward = _cross(across[:, 0] + across[:, 1], vectors[:, 2])
+    forward = cross(across[:, 0] + across[:, 1], vectors[:, 2])
     size = np.sqrt(np.einsum("tk,tk->t", forward, forward))
     size[size == 0] = np.nan
     directions: FloatArray = forward / size[:, None]

@@ -70,18 +70,6 @@ class Found:
     shared_leaves: float
     tempo: float
 
-    def to_json(self) -> dict[str, Any]:
-        """Return plain words and numbers; times in seconds."""
-        return {
-            "take": self.take,
-            "start_s": round(self.start, 3),
-            "end_s": round(self.stop, 3),
-            "score": round(self.score, 4),
-            "distance": round(self.distance, 5),
-            "shared_leaves": round(self.shared_leaves, 4),
-            "tempo": round(self.tempo, 3),
-        }
-
 
 def describe_query(forest: MotionForest, feature_set: FeatureSet, motion: PosedMotion) -> TakeQuery:
     """Make a query of a motion of at least 0.27 s, with the forest of the takes and its feature set.
