@@ -29,6 +29,7 @@ from dousa.evaluation import (
     compute_postures,
     find_repetitions,
 )
+from dousa.evaluation.errors import causes
 from dousa.evaluation.errors.faults import describe_fault, describe_repetition, find_faults
 from dousa.evaluation.exercises.split import find_reference_repetitions
 from dousa.evaluation.exercises.summary import (
@@ -478,19 +479,30 @@ def test_what_is_graded_like_one_of_the_references_has_no_joint_at_fault() -> No
     assert not any(event.fault for event in assess([*models[2:], smaller], small).events)
 
 
+def move_left_arm(model: CanonicalMotion, degrees: np.ndarray) -> CanonicalMotion:
+    """The left arm straight, so far from hanging (T,), sideways in the room."""
+    moved = model.positions.copy()
+    arm, shoulder = [JOINT_INDEX[f"left_{name}"] for name in ("elbow", "wrist", "hand")], [JOINT_INDEX["left_shoulder"]]
+    reach = np.linalg.norm(moved[:1, arm] - moved[:1, shoulder], axis=2, keepdims=True)
+    angle = np.radians(degrees)[:, None]
+    way = np.stack([np.sin(angle), -np.cos(angle), 0.0 * angle], axis=-1)
+    moved[:, arm] = moved[:, shoulder] + reach * way
+    return dataclasses.replace(model, positions=moved)
+
+
 def test_an_arm_that_is_still_in_the_references_compensates() -> None:
     model = make_clips("squat", 1)[0]
-    still = model.positions.copy()
-    arm = [JOINT_INDEX[f"left_{name}"] for name in ("elbow", "wrist", "hand")]
-    reach = np.linalg.norm(still[:1, arm] - still[:1, [JOINT_INDEX["left_shoulder"]]], axis=2, keepdims=True)
-    still[:, arm] = still[:, [JOINT_INDEX["left_shoulder"]]] - reach * [0.0, 1.0, 0.0]
-    raised = still.copy()
-    share = np.radians(60.0) * np.sin(np.linspace(0.0, np.pi, model.n_frames))[:, None]
-    way = np.stack([np.sin(share), -np.cos(share), 0.0 * share], axis=-1)
-    raised[:, arm] = still[:, [JOINT_INDEX["left_shoulder"]]] + reach * way
-    quiet, moved = (dataclasses.replace(model, positions=one) for one in (still, raised))
-    found = {one.joint: one.kind for one in find_own_faults(moved, quiet)}
-    assert found == {"left_shoulder": "compensation"}
+    still, raised = np.zeros(model.n_frames), 60.0 * np.sin(np.linspace(0.0, np.pi, model.n_frames))
+    faults = find_own_faults(move_left_arm(model, raised), move_left_arm(model, still))
+    assert {one.joint: one.kind for one in faults} == {"left_shoulder": "compensation"}
+
+
+def test_how_an_idle_arm_is_held_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = make_clips("squat", 1)[0]
+    hanging, held = (move_left_arm(model, np.full(model.n_frames, angle)) for angle in (0.0, 80.0))
+    assert assess([hanging], held).events == ()
+    monkeypatch.setattr(causes, "_is_posture", lambda *_: False)
+    assert [event.segments for event in assess([hanging], held).events] == [("left_upper_arm", "left_forearm")]
 
 
 @pytest.mark.parametrize("angle", [*ANGLES, *(f"both_{name}" for name in PAIRED_ANGLES)])

@@ -43,7 +43,22 @@ def tell_errors(
     time_spread : (T,) s, how much the timing of the takes of the reference differs there; 0 of one take.
     """
     found = explain_together(evidence, measure_suspects(evidence, suspects, frames))
-    return [one for one in found if _is_useful(evidence, one, time_spread)]
+    return [one for one in found if _is_useful(evidence, one, time_spread) and not _is_posture(evidence, one)]
+
+
+def _is_posture(evidence: Evidence, one: Finding, *, edge_s: float = 0.35, idle: float = 0.5) -> bool:
+    """Whether limbs that the reference hardly moves are held otherwise from the beginning to the end.
+
+    How somebody holds an idle arm is no error, as it is none in the grade.
+    """
+    # edge_s: as near as findings that follow each other at once; idle: of the range of what moves most
+    deviations, edge = evidence.deviations, edge_s * evidence.rate
+    if one.kind not in ("incomplete", "partial") or one.start > edge or one.end < len(evidence.ordinary) - edge:
+        return False
+    ranges, segments = measure_ranges(deviations.reference), list(one.segments)
+    away = (deviations.performance - deviations.reference)[one.start : one.end, segments]
+    left = ((away - away.mean(axis=0)) ** 2).sum(axis=2)
+    return bool(ranges[segments].max() < idle * ranges.max() and _is_explained((away**2).sum(axis=2), left))
 
 
 def _is_useful(evidence: Evidence, one: Finding, time_spread: FloatArray, *, by_spread: float = 2.0) -> bool:
