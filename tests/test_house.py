@@ -20,7 +20,7 @@ SOURCE = ROOT / "src" / "dousa"
 ROOMS = {
     "app": (26_064, 116),
     "estimation": (16_473, 69),
-    "evaluation": (12_108, 46),
+    "evaluation": (12_105, 46),
     "experiments": (1_699, 8),
     "files": (1_149, 8),
     "formats": (13_063, 68),
@@ -31,14 +31,14 @@ ROOMS = {
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 62_341,
+    "lines of tests": 62_353,
     "lines of JavaScript": 12_544,
     "constants": 1_062,
     "numeric constants without a source": 4,
     "functions over 60 lines": 14,
     "files over 650 lines": 0,
     "folders with more than 15 files": 0,
-    "lines with words that a native reader stumbles over": 55,
+    "lines with words that a native reader stumbles over": 56,
     "hand-written runs of a mask": 3,
     "commands": 32,
     "options": 194,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
@@ -253,13 +253,15 @@ def describe_assessment(assessment: Assessment, language: str | None = None) -> 
         "calibrated": bool(assessment.calibrated),
         "furi": [_describe_furi(furi) for furi in assessment.furi],
         "events": [_describe(event, _EVENT, language) for event in assessment.events],
-        "lag_ms": _summarise_lag(assessment.lag),
+        "lag_ms": _summarise(
+            1000 * assessment.lag, 1, median=np.median, mean_abs=lambda lag: np.abs(lag).mean(), max=np.max, min=np.min
+        ),
         "frame_rate": round_number(assessment.frame_rate, 6),
         "n_references": int(assessment.n_references),
         "score_formula": assessment.score_formula.render(language),
         "side": assessment.side,
         "tempo": round_number(assessment.tempo, _SHARES),
-        "facing_deg": _summarise_facing(assessment.facing),
+        "facing_deg": _summarise(np.degrees(np.abs(assessment.facing)), _DEGREES, median=np.median, max=np.max),
         "lapses": [_describe(lapse, _LAPSE, language) for lapse in assessment.lapses],
         "gaps": [
             {"start_s": round_number(start, _SECONDS), "end_s": round_number(end, _SECONDS), "segment": segment}
@@ -306,27 +308,12 @@ def _describe_furi(furi: FuriAssessment) -> dict[str, Any]:
     return {**_describe(furi, _FURI), "lag_ms": round_number(1000 * furi.lag_s, 1), "gain": gain}
 
 
-def _summarise_lag(lag: FloatArray) -> dict[str, float | None]:
-    """Of all frames that have one, in ms; the most late and the most early ones are max and min."""
-    known = 1000 * np.asarray(lag, np.float64)
-    known = known[np.isfinite(known)]
-    if not len(known):
-        return {"median": None, "mean_abs": None, "max": None, "min": None}
-    return {
-        "median": round_number(np.median(known), 1),
-        "mean_abs": round_number(np.abs(known).mean(), 1),
-        "max": round_number(known.max(), 1),
-        "min": round_number(known.min(), 1),
-    }
-
-
-def _summarise_facing(facing: FloatArray) -> dict[str, float | None]:
-    """Sizes of the facing error, whichever way it goes."""
-    sizes = np.degrees(np.abs(np.asarray(facing, np.float64)))
-    sizes = sizes[np.isfinite(sizes)]
-    if not len(sizes):
-        return {"median": None, "max": None}
-    return {"median": round_number(np.median(sizes), _DEGREES), "max": round_number(sizes.max(), _DEGREES)}
+def _summarise(
+    values: FloatArray, digits: int, **measures: Callable[[FloatArray], float | FloatArray]
+) -> dict[str, float | None]:
+    """Some measures of what is known of the values; None where nothing is."""
+    known = values[np.isfinite(values)]
+    return {name: round_number(take(known), digits) if len(known) else None for name, take in measures.items()}
 
 
 _TEMPO_OFF, _TEMPO_BETTER = 0.04, 0.8

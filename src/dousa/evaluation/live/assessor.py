@@ -175,11 +175,6 @@ class IncrementalAssessor:
         return tuple(self._window.lapses)
 
     @property
-    def tolerance(self) -> FloatArray:
-        """(9,) rad, what is tolerated of each segment now."""
-        return self._window.tolerance.angle.copy()
-
-    @property
     def grade(self) -> float:
         """Grade of the last 12 s, 0 to 100, as that of a furi of `assess`; nan before anything is compared."""
         return self._window.grade()
