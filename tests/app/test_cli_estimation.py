@@ -269,7 +269,7 @@ class TestEstimateAround:
             (("SEEN", "SEEN"), "cannot be combined with other sources"),
             (("SEEN", "--settings", "no.toml"), "cannot be read"),
             (("SEEN", "--background", "x.png"), "background"),
-            (("JACK",), "calibration file required"),
+            (("JACK",), "jack.bvh is a motion already"),
         ],
     )  # fmt: skip
     def test_mistakes(self, dousa, jack, tracked, tmp_path, monkeypatch, words, said):
@@ -432,7 +432,7 @@ class TestSources:
         calibration = ("--cameras", sources / "cameras.toml")
         failed(dousa("estimate", tmp_path / "view1.mp4", *calibration), "cannot be opened as a film")
         failed(dousa("estimate", tmp_path / "empty", *calibration), "empty", "images")
-        failed(dousa("estimate", sources / "view1.mp4"), "calibration file required")
+        failed(dousa("estimate", sources / "view1.mp4"), "calibration file required", "dousa keypoints --install")
         plates = ("--background", "x.png", "--background", "y.png")
         failed(dousa("estimate", sources / "view1.mp4", *calibration, *plates), "background")
         failed(dousa("estimate", sources / "view1", sources / "view1", *calibration), "camera")

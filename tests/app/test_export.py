@@ -55,9 +55,12 @@ def test_chosen_clips_in_a_zip_on_a_character(tmp_path, moves, succeed):
         (("--to", "bvh", "--keep-reach"), "--onto"),
         (("--to", "bvh", "--onto", "nobody.bvh"), "nobody.bvh"),
         (("--category", "flight"), "flight"),
+        (("--to", "fbx"), "out: .fbx is written through Blender, which is not on this machine"),
     ],
 )
-def test_mistakes_leave_nothing(tmp_path, moves, dousa, options, word):
+def test_mistakes_leave_nothing(tmp_path, moves, dousa, monkeypatch, options, word):
+    monkeypatch.setenv("DOUSA_BLENDER", "")
+    monkeypatch.setenv("PATH", "")
     code, _, said = dousa("export", moves, "-o", tmp_path / "out", *options)
     assert code == 2
     assert word in said

@@ -14,6 +14,7 @@ from dousa.app.report.page import QUICK_PARTS, build_frame, build_page, build_pa
 from dousa.app.tables.evaluation import print_assessment, print_progress
 from dousa.evaluation import compare_attempts, read_attempt
 from dousa.evaluation.grade.score import round_grade
+from dousa.messages import Message
 
 
 @pytest.mark.parametrize("language", ["en", "ja"])
@@ -48,6 +49,14 @@ def test_one_grade_is_told_alike_everywhere(score: float) -> None:
     said = out.file.getvalue()
     assert f"grade {whole} of 100" in said and f"the grade stayed at {whole}" in said
     assert re.findall(r"^ *pupil +(\d+)", said, re.MULTILINE) == [whole, whole]
+
+
+def test_another_dance_was_not_performed_in_percent() -> None:
+    nothing = {"score": float("nan"), "warnings": (Message("assessment.unlike", mismatch=0.9),)}
+    out = Console(file=io.StringIO(), width=200)
+    for assessment in (make_assessment(seconds=6.0), replace(make_assessment(seconds=6.0), **nothing)):
+        print_assessment(out, assessment)
+    assert out.file.getvalue().count("of the reference was performed") == 1
 
 
 def test_a_report_can_be_bound_anew(browser: Any, tmp_path: Path) -> None:

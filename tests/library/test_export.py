@@ -140,6 +140,15 @@ def test_a_source_that_is_gone(tmp_path, library, recordings):
     np.testing.assert_allclose(motion.positions, expected.positions, atol=1e-3)
 
 
+@pytest.mark.parametrize("name", ["out", "out.zip"])
+def test_sources_that_are_all_gone_are_named_and_leave_no_list(tmp_path, library, recordings, name):
+    for path in (recordings / "walk").iterdir():
+        path.unlink()
+    report = library.export(tmp_path / name, category="walk")
+    assert {skipped.reason.code for skipped in report.skipped} == {"disk.missing"} and not report.written
+    assert not list(tmp_path.glob("out/**/*.*")) and not list(tmp_path.glob("*.zip")), "nor a list of files to come"
+
+
 def test_what_cannot_be_is_said(tmp_path, library):
     with pytest.raises(OptionError, match="original"):
         library.export(tmp_path / "out", to="original", onto="x.bvh")

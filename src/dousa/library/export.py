@@ -77,7 +77,7 @@ class Destination:
         return name not in rows and (self.folder / name).exists()
 
     def write_manifest(self, rows: Iterable[Mapping[str, str]], *, to_come: bool = False) -> None:
-        """Write rows as the manifest, sorted by name; none if it is empty.
+        """Write rows as the manifest, sorted by name; without any that of an earlier moment goes.
 
         Files that are missing are left out, or are ``to_come``.
         """
@@ -85,6 +85,8 @@ class Destination:
         if there:
             with atomic_write(self.prepare(MANIFEST)) as file:
                 file.write(_write_rows(sorted(there, key=lambda row: row["file"]), heading=True))
+        else:
+            (self.folder / MANIFEST).unlink(missing_ok=True)
 
     def note(self, row: Mapping[str, str]) -> None:
         """Add to the manifest that a file is whole."""
@@ -259,6 +261,10 @@ def export_clips(
     ``path`` is a folder or the name of a ZIP file; ``options`` replace those of adding.
     """
     target = Path(path)
+    if form.to == "fbx":
+        from dousa.formats.exchange.conversion import find_blender
+
+        find_blender(target)  # said once, not of each file
     is_zip = target.suffix.lower() == ".zip" and not target.is_dir()
     destination = ZipDestination(target) if is_zip else Destination(target)
     job = _Export(library, destination, form, options or ReadOptions())

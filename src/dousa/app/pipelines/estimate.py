@@ -226,6 +226,9 @@ def _track(
     return answer
 
 
+_MOTIONS = (".bvh", ".amc", ".c3d", ".trc", ".fbx", ".glb", ".gltf", ".vmd", ".mot", ".mvnx")  # never a film
+
+
 def estimate_sources(
     request: EstimationRequest,
     progress: ProgressCallback | None = None,
@@ -246,6 +249,9 @@ def estimate_sources(
     ------
     DousaError : what can be put right by the person who reads it.
     """
+    for path in request.sources:
+        if path.suffix.lower() in _MOTIONS:
+            raise OptionError("film_estimate.motion", path=path)
     request = take_project(request, tell)
     sources = pair_sources(request.sources)
     if _takes_keypoints(replace(request, sources=tuple(view.source for view in sources.views)), tell):
@@ -267,6 +273,8 @@ def _takes_keypoints(request: EstimationRequest, tell: Callable[[Message], None]
     if request.cues is None and films and any(map(holds_keypoints, request.sources)):
         return True
     installed = has_models()
+    if request.cues is None and films and not installed and request.cameras is None:
+        raise OptionError("film_estimate.nothing_known")
     if request.cues is not None or not films or not (installed or (request.cameras and not has_plates(request))):
         return False
     if any(shows_masks(path) for path in request.sources):

@@ -182,18 +182,15 @@ def _build_figures(done: RepetitionsAssessment, words: Mapping[str, str]) -> str
     calibrated = bool(graded) and graded[0].calibrated
     incomplete = len(done.repetitions) - done.count
     figures = [
-        (str(done.count), words["figure_count"], words["figure_incomplete"].format(n=incomplete) if incomplete else ""),
-        (
-            format_grade(score),
-            words["figure_grade"],
-            words["calibrated" if calibrated else "uncalibrated"].format(n=done.n_references),
-        ),
-        (
-            format_number(compute_median([one.repetition.duration_s for one in done.complete]), 1),
-            words["figure_seconds"],
-            words["figure_tempo"].format(tempo=format_number(tempo, 2), seconds=f"{done.reference_s:.1f}"),
-        ),
+        (str(done.count), words["figure_count"], words["figure_incomplete"].format(n=incomplete) if incomplete else "")
     ]
+    if graded:
+        note = words["calibrated" if calibrated else "uncalibrated"].format(n=done.n_references)
+        figures.append((format_grade(score), words["figure_grade"], note))
+    if done.complete:
+        seconds = format_number(compute_median([one.repetition.duration_s for one in done.complete]), 1)
+        note = words["figure_tempo"].format(tempo=format_number(tempo, 2), seconds=f"{done.reference_s:.1f}")
+        figures.append((seconds, words["figure_seconds"], note))
     cells = []
     for number, text, note in figures:
         inner = element("span", "number", number) + element("span", "of", text)
@@ -202,10 +199,10 @@ def _build_figures(done: RepetitionsAssessment, words: Mapping[str, str]) -> str
 
 
 def _list_sentences(done: RepetitionsAssessment, language: str) -> str:
-    trends = describe_trends(done)
-    found = trends[0].code != "exercise_table.no_trend"
     items = [element("li", None, message.render(language)) for message in describe_exercise(done)]
-    items += [element("li", {"class": "trend-says" if found else None}, message.render(language)) for message in trends]
+    for trend in describe_trends(done):
+        css = None if trend.code == "exercise_table.no_trend" else "trend-says"
+        items.append(element("li", {"class": css}, trend.render(language)))
     return element("ul", "card says-list", inner=items)
 
 

@@ -45,7 +45,8 @@ def print_assessment(out: Console, assessment: Assessment, detail: str = "full")
     """
     from dousa.evaluation import advise, praise
 
-    print_line(out, describe_coverage(assessment))
+    if not assessment.is_other_dance:
+        print_line(out, describe_coverage(assessment))
     is_graded = math.isfinite(assessment.score)
     grade = _describe_grade(assessment) if is_graded else assessment.score_formula
     print_line(out, grade, style="bold")

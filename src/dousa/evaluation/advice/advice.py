@@ -300,7 +300,7 @@ def _say(group: Sequence[_Found], labels: Sequence[str]) -> Advice:
     if first.corrections:
         return _add_corrections(about, group, where)
     if event.fault is not None:
-        said = event.fault.message
+        said = Message("advice.joint", where=where, fault=event.fault.message)
     elif event.cause == "compensation":
         said = Message("advice.still", who=name_parts(event.segments), where=where)
     elif event.cause is not None:

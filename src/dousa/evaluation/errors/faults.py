@@ -156,12 +156,13 @@ _WHEN = {
 
 def describe_fault(angle: str, kind: str, phase: str, degrees: float, expected: float) -> Message:
     """Describe a fault; ``angle`` is of `ANGLES`, or one of both sides such as ``both_knee_flexion``."""
-    sign, what = 1.0, Message(f"fault_joint.{angle}")
-    if max(degrees, expected, key=abs) < 0:
-        sign, what = -1.0, Message(f"fault_joint.reverse_{angle}")
-    values = {"what": what, "degrees": round(sign * degrees) + 0.0, "expected": round(sign * expected) + 0.0}
-    values["when"] = _WHEN[phase]
-    return Message("fault.compensation", **values) if kind == "compensation" else Message("fault.differs", **values)
+    shown = round(degrees)
+    sign = -1 if (shown or round(expected)) < 0 else 1
+    what = Message(f"fault_joint.{angle}" if sign > 0 else f"fault_joint.reverse_{angle}")
+    wanted = sign * round(expected)
+    code = "fault.other_way" if wanted < 0 else "fault.differs"
+    said = Message(code, what=what, degrees=sign * shown, when=_WHEN[phase], expected=abs(wanted))
+    return Message("fault.compensation", fault=said) if kind == "compensation" else said
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -37,6 +37,8 @@ from dousa.motion.canonical.canonicalise import mirror_canonical
 from dousa.notebooks import Tabular, short_repr
 
 _NAN = float("nan")
+FEWEST_FOR_TREND = 6
+"""Complete repetitions: of fewer, no order is improbable enough for so many measures."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -366,10 +368,9 @@ def _find_trends(
     return adjust_for_many({name: estimate_trend(values) for name, values in measures.items()})
 
 
-def _warn(complete: Sequence[AssessedRepetition], *, fewest_for_trend: int = 6) -> tuple[Message, ...]:
-    # fewest_for_trend: complete repetitions: of fewer, no order is improbable enough for so many measures
+def _warn(complete: Sequence[AssessedRepetition]) -> tuple[Message, ...]:
     warnings = []
-    if len(complete) < fewest_for_trend:
+    if 1 < len(complete) < FEWEST_FOR_TREND:  # nobody asks one repetition for a trend
         warnings.append(Message("exercises.few", n=len(complete)))
     ungraded = sum(not math.isfinite(one.score) for one in complete)
     if ungraded:

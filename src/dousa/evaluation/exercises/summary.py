@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from dousa.evaluation.errors.faults import WELL, Fault, describe_fault, drop_side
-from dousa.evaluation.exercises.repetitions import AssessedRepetition, RepetitionsAssessment
+from dousa.evaluation.exercises.repetitions import FEWEST_FOR_TREND, AssessedRepetition, RepetitionsAssessment
 from dousa.evaluation.exercises.trends import Trend
 from dousa.evaluation.grade.score import round_grade
 from dousa.evaluation.posture.range_of_motion import ANGLE_NAMES, ANGLES, PAIRED_ANGLES, compute_symmetry_index
@@ -80,7 +80,7 @@ def describe_worst(one: AssessedRepetition) -> Message:
 
 
 def describe_trends(assessment: RepetitionsAssessment, *, uneven_change: float = 0.5) -> tuple[Message, ...]:
-    """Describe the trends that are distinguishable from chance, or say that there are none.
+    """Describe the trends that are distinguishable from chance, or say that there are none; nothing of too few.
 
     Of the joints those of `choose_angles` and `choose_pair`; all others are in ``assessment.trends``.
     """
@@ -93,7 +93,8 @@ def describe_trends(assessment: RepetitionsAssessment, *, uneven_change: float =
         for name, trend in assessment.trends.items()
         if trend.distinguishable and (name in reported or (name == uneven and abs(trend.slope) >= uneven_change))
     ]
-    return tuple(found) or (Message("exercise_table.no_trend"),)
+    enough = assessment.count >= FEWEST_FOR_TREND
+    return tuple(found) or ((Message("exercise_table.no_trend"),) if enough else ())
 
 
 def compute_median(values: Sequence[float]) -> float:
@@ -182,9 +183,8 @@ def _say_faults(assessment: RepetitionsAssessment, *, most: int = 3) -> list[Mes
     )
     if worst is None:
         return []
-    if compute_median([one.score for one in assessment.complete]) < WELL:
-        return [Message("exercise_summary.furthest", worst=worst.message)]
-    return [Message("exercise_summary.as_reference", worst=worst.message)]
+    well = compute_median([one.score for one in assessment.complete]) >= WELL  # not where nothing has a grade
+    return [Message("exercise_summary.as_reference" if well else "exercise_summary.furthest", worst=worst.message)]
 
 
 def _say_tempo(assessment: RepetitionsAssessment) -> list[Message]:
@@ -210,7 +210,8 @@ def _say_sides(
     if not (abs(uneven) >= least_uneven and abs(uneven - own) >= unlike_reference):
         return []
     code = "exercise_summary.left_further" if uneven > 0 else "exercise_summary.right_further"
-    return [Message(code, angle=PAIR_NAMES[pair], percent=abs(uneven))]
+    less = 100.0 * (200.0 - abs(uneven)) / (200.0 + abs(uneven))  # the smaller side in percent of the larger one
+    return [Message(code, angle=PAIR_NAMES[pair], percent=less)]
 
 
 def _say_trend(name: str, trend: Trend) -> Message:

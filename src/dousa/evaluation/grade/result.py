@@ -500,7 +500,7 @@ def describe_warnings(
         found.append(Message("assessment.still_reference"))
     if _stands_still(performance):
         found.append(Message("assessment.still_performance"))
-    found += _describe_coverage(references, furi, performance, comparison)
+    found += _describe_coverage(references, furi, performance, comparison, graded=not unlike)
     if not unlike:
         found += _describe_turns(curves, performance.frame_rate)
     return tuple(found)
@@ -512,13 +512,14 @@ def _describe_coverage(
     performance: PostureSequence,
     comparison: Comparison,
     *,
+    graded: bool,
     mostly: float = 0.5,
 ) -> list[Message]:
     """What of both motions is not compared."""
     # mostly: share of the performance with a place in the reference: below, the grade is about a part
     found: list[Message] = []
     compared = float(comparison.deviations.judged.any(axis=1).mean())
-    if compared < mostly:
+    if graded and compared < mostly:
         found.append(Message("assessment.compared", percent=100.0 * compared))
     for code, postures in (("assessment.gaps", performance), ("assessment.reference_gaps", references.postures)):
         seen = postures.seen[:, postures.seen.any(axis=0)]

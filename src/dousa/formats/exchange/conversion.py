@@ -123,6 +123,14 @@ def blender_words() -> list[str]:
     return ["--background", "--factory-startup", "--disable-autoexec", "--python-exit-code", "3", "--python", job, "--"]
 
 
+def find_blender(path: str | os.PathLike[str]) -> Program:
+    """Find Blender to write ``path``; MotionWriteError if it is not on this machine."""
+    program = find_program("blender")
+    if program is None:
+        raise MotionWriteError(path, "exchange.no_blender")
+    return program
+
+
 _MAGIC = b"Kaydara FBX Binary"
 
 
@@ -133,9 +141,7 @@ def write_fbx(motion: Motion, path: str | os.PathLike[str]) -> None:
     ------
     MotionWriteError : no Blender, or it fails; a joint without any pose; a disk error.
     """
-    program = find_program("blender")
-    if program is None:
-        raise MotionWriteError(path, "exchange.no_blender")
+    program = find_blender(path)
     with tempfile.TemporaryDirectory(prefix="dousa-") as folder:
         source, result = os.path.join(folder, "motion.glb"), os.path.join(folder, "made.fbx")
         write_glb(motion, source)
