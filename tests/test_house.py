@@ -23,7 +23,7 @@ ROOMS = {
     "evaluation": (12_109, 46),
     "experiments": (1_699, 8),
     "files": (1_149, 8),
-    "formats": (13_069, 68),
+    "formats": (13_063, 68),
     "library": (15_607, 56),
     "messages": (235, 3),
     "motion": (6_485, 34),

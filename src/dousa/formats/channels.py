@@ -67,27 +67,21 @@ def _pose(
                 z = value
             else:
                 cosine, sine = np.cos(value * half_angle), np.sin(value * half_angle)
-                if kind == 3:
-                    a, b, c, d = (
-                        a * cosine - b * sine,
-                        b * cosine + a * sine,
-                        c * cosine + d * sine,
-                        d * cosine - c * sine,
-                    )
-                elif kind == 4:
-                    a, b, c, d = (
-                        a * cosine - c * sine,
-                        b * cosine - d * sine,
-                        c * cosine + a * sine,
-                        d * cosine + b * sine,
-                    )
-                else:
-                    a, b, c, d = (
-                        a * cosine - d * sine,
-                        b * cosine + c * sine,
-                        c * cosine - b * sine,
-                        d * cosine + a * sine,
-                    )
+                # About x; about y and z it is the same with the axes in turn.
+                if kind == 4:
+                    b, c, d = c, d, b
+                elif kind == 5:
+                    b, c, d = d, b, c
+                a, b, c, d = (
+                    a * cosine - b * sine,
+                    b * cosine + a * sine,
+                    c * cosine + d * sine,
+                    d * cosine - c * sine,
+                )
+                if kind == 4:
+                    b, c, d = d, b, c
+                elif kind == 5:
+                    b, c, d = c, d, b
         if j < axes.shape[0]:
             # C (a, v) C^-1 = (a, C v)
             b, c, d = (
