@@ -8,6 +8,9 @@ pages. Only `make_chain_figures`, for docs/tutorial.md, shows real people, and d
 
 from __future__ import annotations
 
+import json
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -17,6 +20,7 @@ from dousa.app.pictures.sheets import draw_contact_sheet
 from dousa.motion.synthetic.performers import draw_performer, make_motion
 from dousa.retrieval.features.channels import CHANNELS, Channel
 from dousa.retrieval.features.pose_features import FEATURES, Feature
+from lab.figures.experiment_figure import draw_experiment_figure
 from lab.places import DOCS
 
 FIGURES = DOCS / "figures"
@@ -33,8 +37,10 @@ def draw_demo() -> None:
     with TemporaryDirectory() as folder:
         make_application()(["demo", "-o", folder], standalone_mode=False)
         words = [f"{folder}/motions", "--split", "leave-performer-out", "--performer-from", PERFORMER_RULE]
-        make_application()(["experiment", *words, "--figure", f"{folder}/experiment.png"], standalone_mode=False)
-        for name in ("search.png", "timeline.png", "experiment.png"):
+        with redirect_stdout(StringIO()) as said:
+            make_application()(["experiment", *words, "--json"], standalone_mode=False)
+        draw_experiment_figure(json.loads(said.getvalue()), FIGURES / "experiment.png")
+        for name in ("search.png", "timeline.png"):
             (FIGURES / name).write_bytes((Path(folder) / name).read_bytes())
 
 

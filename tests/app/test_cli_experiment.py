@@ -29,8 +29,6 @@ def folder(tmp_path_factory):
     ("options", "problem"),
     [
         (("--takes", "--split", "half"), "--split cannot be combined with --takes"),
-        (("--takes", "--figure", "a.png"), "--figure cannot be combined with --takes"),
-        (("--figure", "a.xyz"), ".png"),
         (("--system", "dtw"), "dtw"),
         (("--takes",), "performer"),
         (("--split", "thirds"), "expected half, leave-performer-out or a share"),

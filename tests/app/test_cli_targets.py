@@ -85,7 +85,6 @@ def test_a_table_of_labels_is_not_written_over_another_one(dousa, folder):
         ("label", "moves.dousa", "take.trc", "--picture", "note.png"),
         ("plot", "moves.dousa", "-o", "other.csv"),
         ("plot", "moves.dousa", "-o", "note.svg"),
-        ("experiment", "clips", "--figure", "note.pdf"),
         ("evaluate", "take.trc", "-p", "take.trc", "-o", "report"),
         ("progress", "note.txt", "note.txt", "--picture", "note.png"),
         ("render", "take.trc", "-o", "other.npz"),

@@ -10,7 +10,6 @@ from matplotlib.image import imread
 
 from dousa.app.drawing import body as _poses
 from dousa.app.pictures import canvas as _canvas
-from dousa.app.pictures.charts import draw_experiment_figure
 from dousa.app.pictures.sheets import Strip, draw_contact_sheet, draw_search_sheet
 from dousa.errors import InvalidMotionError, MotionWriteError, OptionError
 from dousa.motion import CANONICAL_JOINTS, JOINT_INDEX, Trajectories, canonicalise, compute_trajectories
@@ -161,31 +160,6 @@ def test_search_sheet_says_match_and_differs(walk, tmp_path, written):
     draw_search_sheet(Strip(walk, "walk", "query.bvh"), [], tmp_path / "nothing.png")
     assert not is_near(pixels(tmp_path / "nothing.png"), _canvas.GREEN).any()
     assert "rank" not in " ".join(written[2])
-
-
-def _scores(value, spread=None):
-    measures = ("recall", "precision", "f_measure", "accuracy")
-    return {**dict.fromkeys(measures, value), **{f"{name}_std": spread for name in measures}}
-
-
-@pytest.mark.slow
-def test_experiment_figure(tmp_path, written):
-    systems = {
-        "full_tree": _scores(0.71),
-        "random_tree": _scores(0.8, 0.05),
-        "forest": _scores(1.0),
-        "motion_templates": _scores(0.0),
-    }
-    result = {"systems": systems, "n_train": 50, "n_test": 50, "categories": ["a", "b"]}
-    draw_experiment_figure(result, tmp_path / "figure.png")
-    image = pixels(tmp_path / "figure.png")
-    assert is_near(image, _canvas.BLUE).sum() > 1000 and is_near(image, _canvas.PURPLE).any()
-    draw_experiment_figure({"systems": {"forest": _scores(0.9)}}, tmp_path / "one.png")
-    image = pixels(tmp_path / "one.png")
-    assert is_near(image, _canvas.BLUE).sum() > 1000 and not is_near(image, _canvas.PURPLE).any()
-    assert len(written[0]) > len(written[1]) > 0
-    with pytest.raises(OptionError, match="expected results of full_tree, random_tree"):
-        draw_experiment_figure({"systems": {}}, tmp_path / "none.png")
 
 
 def test_what_cannot_be_drawn_is_refused(walk, tmp_path):

@@ -42,9 +42,6 @@ ANGLES = {".csv": rb"time_s,"}
 REPORT = {".csv": rb"(\xef\xbb\xbf)?(time_s|kind|number,complete),"}
 
 
-_OF_PICTURES = ("--picture", "--figure")  # options
-
-
 def check_targets(
     targets: Mapping[str, Path | None],
     inputs: Iterable[str | os.PathLike[str] | None] = (),
@@ -65,7 +62,7 @@ def check_targets(
     known = {**_BEGINNINGS, **(begins or {})}
     sources = [path for path in inputs if path is not None]
     for option, path in targets.items():
-        if path is not None and option in _OF_PICTURES:
+        if path is not None and option == "--picture":
             find_picture_format(path)
         if path is None or not _look_for_danger(option, path, sources):
             continue

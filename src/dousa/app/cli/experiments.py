@@ -14,7 +14,6 @@ from dousa.app.output import console, print_json, progress_bar, say, warn_skippe
 from dousa.app.requests.experiments import ExperimentRequest, SystemName
 from dousa.app.requests.library import FeatureSet, LabelRules, TakeLabels
 from dousa.app.requests.reading import Reading
-from dousa.app.targets import check_targets
 from dousa.errors import OptionError
 from dousa.extras import require
 from dousa.messages import Message
@@ -33,7 +32,6 @@ def experiment(
     take_labels: TakeLabels,
     rules: LabelRules,
     reading: Reading,
-    figure: Annotated[Path | None, typer.Option("--figure", help="Draw the table: .png, .svg or .pdf.")] = None,
     json: Json = False,
 ) -> None:
     """Measure recognition on held-out clips: single trees, the forest and motion templates.
@@ -50,8 +48,7 @@ def experiment(
     from dousa.app.tables.lines import print_tables
 
     kind = _choose_kind(request, take_labels)
-    _check_options(kind, request, rules, figure)
-    check_targets({"--figure": figure}, reading.files)
+    _check_options(kind, request, rules)
     files: dict[str, Any] = {"performer_from": rules.performer_from, "options": reading.load()}
     notes: list[tuple[str, Message]] = []
     files["note"] = lambda path, message: notes.append((path, message))
@@ -80,18 +77,14 @@ def experiment(
     else:
         warn_of_files(notes)
         print_tables(console(), result.to_tables())
-    if figure:  # last, so that an answer that took long is not lost where the picture cannot be written
-        from dousa.app.pictures.charts import draw_experiment_figure
-
-        draw_experiment_figure(answer, figure)
 
 
 class _Kind(enum.Enum):
     """What an experiment asks, and the options that have nothing to do with it."""
 
     RECOGNITION = ("", ())
-    TAKES = ("--takes", ("--repeats", "--figure", "--split", "--test", "--system"))
-    ANNOTATED = ("--takes --labels", ("--repeats", "--figure", "--test", "--system", "--category-from"))
+    TAKES = ("--takes", ("--repeats", "--split", "--test", "--system"))
+    ANNOTATED = ("--takes --labels", ("--repeats", "--test", "--system", "--category-from"))
 
     @property
     def usual_features(self) -> FeatureSet:
@@ -109,7 +102,7 @@ def _choose_kind(request: ExperimentRequest, takes: TakeLabels) -> _Kind:
     return _Kind.TAKES if request.takes else _Kind.RECOGNITION
 
 
-def _check_options(kind: _Kind, request: ExperimentRequest, labels: LabelRules, figure: Path | None) -> None:
+def _check_options(kind: _Kind, request: ExperimentRequest, labels: LabelRules) -> None:
     if request.test and request.split is not None:
         raise OptionError("experiments_cli.split_and_test")
     if request.split == "leave-performer-out" and labels.performer_from is None:
@@ -121,7 +114,6 @@ def _check_options(kind: _Kind, request: ExperimentRequest, labels: LabelRules, 
     given = {
         "--category-from": labels.category_from != "folder",
         "--repeats": request.repeats != 1,
-        "--figure": figure is not None,
         "--split": request.split is not None,
         "--split SHARE": request.train_share is not None,
         "--test": bool(request.test),
@@ -131,8 +123,6 @@ def _check_options(kind: _Kind, request: ExperimentRequest, labels: LabelRules, 
     for option in ignored:
         if given[option]:
             raise OptionError("experiments_cli.not_with", option=option, kind=name)
-    if figure:
-        require("matplotlib", "pictures")
 
 
 def _run_trial(

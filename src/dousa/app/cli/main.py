@@ -67,7 +67,7 @@ NEEDED = {
     "convert": "onto frame_rate overwrite",
     "estimate": "output cameras backgrounds stature everybody angles",
     "evaluate": "performance output repetitions mirror tempo",
-    "experiment": "split performer_from category_from takes figure",
+    "experiment": "split performer_from category_from takes",
     "export": "output to category text onto",
     "label": "csv picture",
     "render": "output cameras ring stature",
