@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dousa.app.pictures.overlay import _Page, lay_out, write_overlay
-from dousa.app.pictures.overlay_sheet import Timeline, choose_frames, draw_overlay_sheet, mean_overlap
+from dousa.app.pictures.overlay import Timeline, _Page, lay_out, mean_overlap, write_overlay
+from dousa.app.pictures.overlay_sheet import choose_frames, draw_overlay_sheet
 from dousa.app.pictures.overlay_view import ALARM, DARK, ViewPainter, draw_lines
 from dousa.errors import MotionWriteError, OptionError
 from dousa.estimation.body.human import make_human

@@ -178,7 +178,7 @@ def _draw(library: Library, answer: LabelledTake, picture: Path, options: ReadOp
         motion = library.trajectories(answer.clip_id)
     else:
         motion = read_canonical(answer.take, options, whole=False)[0].to_trajectories()
-    draw_timeline(answer.to_json(), picture, motion)
+    draw_timeline(answer.timeline, picture, motion, Path(answer.take).name)
 
 
 def _label_live(library: str, threshold: float | None, jobs: int | None) -> None:

@@ -9,28 +9,32 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from dousa.app.pictures.overlay_sheet import Timeline
 from dousa.app.pictures.overlay_view import (
     ALARM,
     BGR_OF_SIDE,
     DARK,
     HALF_DARK,
+    PALE,
     WHITE,
     ViewPainter,
     check_views,
     draw_lines,
+    hatch,
     measure_text,
     write_text,
 )
-from dousa.arrays import Image
+from dousa.arrays import FloatArray, Image
 from dousa.errors import MotionWriteError, OptionError
 from dousa.files.disk import atomic_write
 from dousa.messages import Message
+from dousa.motion.runs import find_runs
 
 if TYPE_CHECKING:
     from dousa.app.output import ProgressCallback
@@ -40,6 +44,7 @@ if TYPE_CHECKING:
 
 _WIDEST, _HIGHEST = 1920, 960  # px, all views together
 _CAPTION, _FOOT, _TIMELINE, _BORDER = 30, 30, 76, 4  # px
+_LEFT_MARGIN, _RIGHT_MARGIN, _EDGE = 62, 16, 10  # px, of the curve
 _CODECS = {".mp4": "mp4v", ".mkv": "mp4v", ".avi": "MJPG"}
 
 
@@ -153,6 +158,88 @@ class _Cell:
     height: int
 
 
+def mean_overlap(iou: FloatArray) -> FloatArray:
+    """Mean over the views (T,) of the overlap (T, V); NaN where no view has an image."""
+    known = np.isfinite(iou)
+    counts = known.sum(axis=1)
+    sums = np.where(known, iou, 0.0).sum(axis=1)
+    return np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
+
+
+class Timeline:
+    """A strip with the curve, drawn once; each frame gets a copy with its place marked.
+
+    Parameters
+    ----------
+    estimate : of T frames.
+    width, height : px.
+    """
+
+    def __init__(self, estimate: Estimate, width: int, height: int) -> None:
+        self._n_frames = estimate.n_frames
+        self._width, self._height = width, height
+        self._base = np.full((height, width, 3), 255, np.uint8)
+        self._draw_lost(estimate.lost)
+        self._draw_scale()
+        self._draw_curve(mean_overlap(estimate.iou))
+
+    def paint(self, *frames: int) -> Image:
+        """The strip with some frames marked."""
+        canvas = self._base.copy()
+        columns = map(self._column, frames)
+        lines = [np.array([[column, 2.0], [column, self._height - 3.0]]) for column in columns]
+        draw_lines(canvas, lines, WHITE, 5)
+        draw_lines(canvas, lines, DARK, 2)
+        return canvas
+
+    def _column(self, frame: float) -> float:
+        span = self._width - _LEFT_MARGIN - _RIGHT_MARGIN
+        return _LEFT_MARGIN + span * frame / max(1, self._n_frames - 1)
+
+    def _row(self, overlap: FloatArray) -> FloatArray:
+        return np.asarray(_EDGE + (self._height - 2 * _EDGE) * (1.0 - overlap))
+
+    def _draw_lost(self, lost: NDArray[np.bool_], least: float = 9.0) -> None:
+        """Hatch lost frames, in bands of least px so that one frame of a long clip still shows beside the curve."""
+        for start, stop in find_runs(lost).tolist():
+            left, right = self._column(start - 0.5), self._column(stop - 0.5)
+            more = max(0.0, least - (right - left)) / 2.0
+            left = max(int(left - more), _LEFT_MARGIN)
+            right = min(int(right + more), self._width - _RIGHT_MARGIN)
+            band = self._base[_EDGE : self._height - _EDGE, left:right]
+            band[:] = (225, 225, 250)
+            cut = np.ascontiguousarray(band)
+            hatch(cut, ALARM, 9)
+            band[:] = cut
+            if right - left > measure_text("LOST", 13, bold=True) + 6:
+                write_text(self._base, "LOST", (left + 4, self._height - _EDGE - 5), ALARM, 13, bold=True)
+
+    def _draw_scale(self) -> None:
+        ends = np.array([_LEFT_MARGIN, self._width - _RIGHT_MARGIN], np.float64)
+        for overlap in (0.0, 0.5, 1.0):
+            row = float(self._row(np.array(overlap)))
+            draw_lines(self._base, [np.array([[ends[0], row], [ends[1], row]])], PALE)
+            write_text(self._base, f"{overlap:g}", (_LEFT_MARGIN - 26, int(row) + 5), HALF_DARK, 12)
+        write_text(self._base, "overlap", (6, int(self._row(np.array(0.75))) + 5), DARK, 14)
+
+    def _draw_curve(self, overlap: FloatArray) -> None:
+        """The least value where several frames share a column, so that no short failure vanishes."""
+        columns = np.round(self._column(np.arange(len(overlap)))).astype(np.intp)  # type: ignore[arg-type]
+        known = np.isfinite(overlap)
+        least = np.full(self._width, np.inf)
+        np.minimum.at(least, columns[known], overlap[known])
+        broken = np.zeros(self._width, bool)
+        broken[columns[~known]] = True
+        drawn = np.flatnonzero(np.isfinite(least))
+        if not len(drawn):
+            write_text(self._base, "no view has an image", (_LEFT_MARGIN + 8, self._height // 2 + 5), HALF_DARK, 14)
+            return
+        gaps = np.flatnonzero([broken[a + 1 : b].any() for a, b in pairwise(drawn)]) + 1
+        for piece in np.split(drawn, gaps):
+            points = np.stack((piece.astype(np.float64), self._row(least[piece])), axis=1)
+            draw_lines(self._base, [points if len(points) > 1 else np.repeat(points, 2, axis=0)], DARK, 2)
+
+
 class _Page:
     """Where everything goes in the video's picture, and how it is painted."""
 
@@ -160,7 +247,7 @@ class _Page:
         check_views(estimate, silhouettes, cameras)
         self._estimate, self._silhouettes = estimate, silhouettes
         self._cells, width, height = lay_out([(camera.width, camera.height) for camera in cameras])
-        self._legend = _make_legend(width, bool(estimate.occluded.any()))
+        self._legend = make_legend(width, bool(estimate.occluded.any()))
         self.size = (width, height + len(self._legend) + _TIMELINE)
         self._grid_height = height
         self._timeline = Timeline(estimate, width, _TIMELINE)
@@ -185,7 +272,7 @@ class _Page:
             _write_caption(canvas, cell, self._silhouettes.names[view], overlap, lost)
         foot = self._grid_height + len(self._legend)
         canvas[self._grid_height : foot] = self._legend
-        time = f"frame {frame + 1} / {estimate.n_frames}   {frame / estimate.frame_rate:.2f} s"
+        time = f"frame {say_time(estimate, frame)}"
         left = self.size[0] - measure_text(time, 16, bold=True) - 14
         write_text(canvas, time, (left, foot - 9), DARK, 16, bold=True)
         canvas[foot:] = self._timeline.paint(frame)
@@ -235,10 +322,21 @@ def _frame_in_alarm(canvas: Image, cell: _Cell) -> None:
     cv2.rectangle(canvas, (cell.left + 2, cell.top + 2), corner, ALARM, 5)
 
 
+def say_time(estimate: Estimate, frame: int) -> str:
+    """The number of a frame, from 1, of how many, and its time."""
+    return f"{frame + 1} / {estimate.n_frames}   {frame / estimate.frame_rate:.2f} s"
+
+
+def describe_overlap(overlap: float | None) -> str:
+    """How well model and silhouette agree; None where there is no image."""
+    if overlap is None:
+        return "no image"
+    return f"overlap {overlap:.2f}" if np.isfinite(overlap) else "overlap -"
+
+
 def _write_caption(canvas: Image, cell: _Cell, name: str, overlap: float | None, lost: bool) -> None:
     base = cell.top - 9
-    known = overlap is not None and np.isfinite(overlap)
-    said = f"overlap {overlap:.2f}" if known else "no image" if overlap is None else "overlap -"
+    known, said = overlap is not None and np.isfinite(overlap), describe_overlap(overlap)
     right = cell.left + cell.width - measure_text(said, 16, bold=True) - 6
     write_text(canvas, said, (right, base), DARK if known else HALF_DARK, 16, bold=True)
     if lost:
@@ -252,7 +350,7 @@ def _write_caption(canvas: Image, cell: _Cell, name: str, overlap: float | None,
     write_text(canvas, name, (cell.left + 4, base), DARK, 16)
 
 
-def _make_legend(width: int, hidden: bool) -> Image:
+def make_legend(width: int, hidden: bool) -> Image:
     """What the lines mean, in as many rows as it takes; the last leaves room for the time."""
     entries = [
         (DARK, 2, "silhouette"),

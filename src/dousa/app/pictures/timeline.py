@@ -8,8 +8,7 @@ is unknown is grey and hatched, in the last row.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,10 +28,10 @@ from dousa.app.pictures.canvas import (
     write,
 )
 from dousa.app.pictures.sheets import draw_key, draw_row
-from dousa.errors import OptionError
 
 if TYPE_CHECKING:
     from dousa.app.drawing.body import Drawable
+    from dousa.retrieval.takes.label import Segment, Timeline
 
 
 _UNKNOWN = "unknown"
@@ -42,39 +41,22 @@ _ROW, _BAR = 0.3, 0.8  # inches; share of a row that a bar of full confidence fi
 _TALLEST_POSE, _MOST_POSES = 1.3, 18
 
 
-@dataclass(frozen=True, slots=True)
-class _Segment:
-    """From ``start`` to ``end`` (s) the take is taken for ``category``, perhaps; a confidence of 0 to 1 or None."""
-
-    start: float
-    end: float
-    category: str
-    confidence: float | None
-    perhaps: bool = False
-
-
 def draw_timeline(
-    timeline: Any, path: str | os.PathLike[str], motion: Drawable | None = None, title: str | None = None
+    timeline: Timeline, path: str | os.PathLike[str], motion: Drawable | None = None, title: str = "take"
 ) -> None:
     """Draw the categories of a take over time.
 
     Parameters
     ----------
-    timeline : a `dousa.retrieval.Timeline` or its JSON: ``segments``, each with its start and end in s, its
-        ``category`` (none, or ``"unknown"``, where the take is like no category; ``guess`` is what it perhaps is) and
-        ``confidence`` of 0 to 1; the duration in s, by default the end of the last segment.
-    path : .png, .svg or .pdf.
+    timeline : what was recognised.
+    path : .png, .svg or .pdf; errors as of `save_figure`.
     motion : the take; its poses are drawn above their times.
-    title : of the take, by default the name of its ``take`` or ``path`` in the timeline.
-
-    Raises
-    ------
-    OptionError : a timeline without these fields, with a segment that ends before it starts or a confidence
-        beyond 0 to 1, or another suffix.
-    MotionWriteError : the picture cannot be written.
+    title : of the take.
     """
-    segments = [_read_segment(item) for item in _get(timeline, "segments") or ()]
-    seconds = _read_duration(timeline, segments, motion)
+    segments, seconds = timeline.segments, timeline.duration
+    if motion is not None:
+        frames = motion.translations if hasattr(motion, "translations") else motion.positions
+        seconds = max(seconds, len(frames) / motion.frame_rate)  # the poses stand above their times
     rows = _list_rows(segments)
     figurine = None if motion is None else to_figurine(motion)
     poses = 0.0 if figurine is None else _TALLEST_POSE + _GAP
@@ -83,60 +65,20 @@ def draw_timeline(
     if figurine is not None:
         _draw_thumbnails(figure, figurine, height - _HEAD - poses + _GAP)
     _draw_rows(figure, segments, rows, seconds)
-    name = title or os.path.basename(str(_get(timeline, "take") or _get(timeline, "path") or "take"))
-    _draw_head(figure, name, segments, seconds)
+    _draw_head(figure, title, segments, seconds)
     save_figure(figure, path)
 
 
-_SPELLINGS = {"start": ("start", "start_s"), "end": ("stop", "end_s"), "duration": ("duration", "duration_s")}
-"""Names of times in the object and in its JSON."""
+def _name(segment: Segment) -> str:
+    """What a segment is, perhaps: the name of its row."""
+    return segment.category or segment.guess or _UNKNOWN
 
 
-def _get(source: Any, name: str) -> Any:
-    for spelling in _SPELLINGS.get(name, (name,)):
-        found = source.get(spelling) if isinstance(source, Mapping) else getattr(source, spelling, None)
-        if found is not None:
-            return found
-    return None
-
-
-def _read_segment(item: Any) -> _Segment:
-    start, end, category, confidence = (_get(item, name) for name in ("start", "end", "category", "confidence"))
-    guess = _get(item, "guess") if category is None else None
-    try:
-        segment = _Segment(
-            float(start),
-            float(end),
-            str(category or guess or _UNKNOWN),
-            None if confidence is None else float(confidence),
-            perhaps=guess is not None,
-        )
-    except (TypeError, ValueError):
-        raise OptionError("pictures.not_a_segment", found=repr(item)) from None
-    sure = 0.0 if segment.confidence is None else segment.confidence
-    if not (0.0 <= segment.start <= segment.end < np.inf and 0.0 <= sure <= 1.0):
-        raise OptionError("pictures.bad_segment", found=repr(item))
-    return segment
-
-
-def _read_duration(timeline: Any, segments: Sequence[_Segment], motion: Drawable | None) -> float:
-    """Seconds on the axis: never less than the segments need, never 0."""
-    given = _get(timeline, "duration")
-    seconds = 0.0 if given is None else float(given)
-    if motion is not None:
-        frames = motion.translations if hasattr(motion, "translations") else motion.positions
-        seconds = len(frames) / motion.frame_rate  # the poses stand above their times
-    seconds = max([seconds, *(segment.end for segment in segments)])
-    if not 0.0 < seconds < np.inf:
-        raise OptionError("pictures.no_duration", found=given)
-    return seconds
-
-
-def _list_rows(segments: Sequence[_Segment]) -> list[str]:
+def _list_rows(segments: Sequence[Segment]) -> list[str]:
     """The categories in the order in which they first come, unknown last."""
     ordered = sorted(segments, key=lambda segment: segment.start)
-    rows = list(dict.fromkeys(segment.category for segment in ordered if segment.category != _UNKNOWN))
-    return rows + [_UNKNOWN] * any(segment.category == _UNKNOWN for segment in segments)
+    rows = list(dict.fromkeys(map(_name, ordered)))
+    return [name for name in rows if name != _UNKNOWN] + [_UNKNOWN] * (_UNKNOWN in rows)
 
 
 def _draw_thumbnails(figure: Any, figurine: Figurine, bottom: float) -> None:
@@ -154,7 +96,7 @@ def _draw_thumbnails(figure: Any, figurine: Figurine, bottom: float) -> None:
     draw_row(figure, figurine, frames, THREE_QUARTER, scale, (_MARGIN + _NAMES, bottom), heights)
 
 
-def _draw_rows(figure: Any, segments: Sequence[_Segment], rows: Sequence[str], seconds: float) -> None:
+def _draw_rows(figure: Any, segments: Sequence[Segment], rows: Sequence[str], seconds: float) -> None:
     width, height = figure.get_size_inches()
     room, count = _WIDTH - 2 * _MARGIN - _NAMES - _TOTALS, max(len(rows), 1)
     bottom = _MARGIN + _TICKS
@@ -165,7 +107,7 @@ def _draw_rows(figure: Any, segments: Sequence[_Segment], rows: Sequence[str], s
     for number, category in enumerate(rows):
         if number % 2 == 0:
             axes.axhspan(number - 0.5, number + 0.5, color="#f4f4f4", lw=0, zorder=0)
-        mine = [segment for segment in segments if segment.category == category]
+        mine = [segment for segment in segments if _name(segment) == category]
         for segment in mine:
             _draw_segment(axes, segment, number, seconds / room)
         middle = (bottom + (count - number - 0.5) * _ROW - 0.045) / height
@@ -174,14 +116,14 @@ def _draw_rows(figure: Any, segments: Sequence[_Segment], rows: Sequence[str], s
         name = spelled if len(spelled) <= 30 else f"{spelled[:27]} …"
         size = 10.5 if len(name) <= 20 else 9.0
         write(figure, (_MARGIN + _NAMES - 0.1) / width, middle, name, size, ha="right", weight=weight)
-        total = sum(segment.end - segment.start for segment in mine)
+        total = sum(segment.stop - segment.start for segment in mine)
         text = _say_time(total, 0.1) + "?" * any(segment.perhaps for segment in mine)
         write(figure, (_WIDTH - _MARGIN - _TOTALS + 0.1) / width, middle, text, 9.5, color=GREY)
     _draw_time_axis(axes, seconds)
 
 
 def _draw_segment(
-    axes: Any, segment: _Segment, row: int, per_inch: float, least: float = 0.03, room: float = 0.36
+    axes: Any, segment: Segment, row: int, per_inch: float, least: float = 0.03, room: float = 0.36
 ) -> None:
     """A frame of full height, filled from below to the confidence.
 
@@ -193,23 +135,21 @@ def _draw_segment(
     """
     from matplotlib.patches import Rectangle
 
-    unknown = segment.category == _UNKNOWN
-    doubtful = unknown or segment.perhaps
+    unknown = _name(segment) == _UNKNOWN
     colour = GREY if unknown else BLUE
-    length = max(segment.end - segment.start, least * per_inch)
+    length = max(segment.stop - segment.start, least * per_inch)
     floor = row + 0.5 * _BAR
     axes.add_patch(Rectangle((segment.start, floor - _BAR), length, _BAR, facecolor="white", lw=0.0))
-    share = 1.0 if segment.confidence is None else segment.confidence
     style: dict[str, Any] = {"facecolor": "#e4e4e4", "hatch": "////"} if unknown else {"facecolor": "#9cc7e4"}
     if segment.perhaps:
         style = {"facecolor": "#e3f0f9", "hatch": "..."}
-    corner = (segment.start, floor - share * _BAR)
-    axes.add_patch(Rectangle(corner, length, share * _BAR, edgecolor=colour, lw=0.0, **style))
+    corner = (segment.start, floor - segment.confidence * _BAR)
+    axes.add_patch(Rectangle(corner, length, segment.confidence * _BAR, edgecolor=colour, lw=0.0, **style))
     frame = Rectangle((segment.start, floor - _BAR), length, _BAR, fill=False, edgecolor=colour, lw=0.8)
     frame.set_linestyle("--" if segment.perhaps else "-")
     axes.add_patch(frame)
-    if segment.confidence is not None and length > room * per_inch:
-        plate = {"facecolor": "white", "edgecolor": "none", "pad": 0.6} if doubtful else None
+    if length > room * per_inch:
+        plate = {"facecolor": "white", "edgecolor": "none", "pad": 0.6} if segment.category is None else None
         middle = segment.start + 0.5 * length
         text = f"{segment.confidence:.0%}" + "?" * segment.perhaps
         write(axes, middle, row + 0.02, text, 8.5, ha="center", va="center", bbox=plate, color=INK)
@@ -244,12 +184,12 @@ def _say_time(seconds: float, least: float) -> str:
     return f"{max(seconds, least):.1f} s"
 
 
-def _draw_head(figure: Any, title: str, segments: Sequence[_Segment], seconds: float) -> None:
+def _draw_head(figure: Any, title: str, segments: Sequence[Segment], seconds: float) -> None:
     width, height = figure.get_size_inches()
-    known = [segment for segment in segments if segment.category != _UNKNOWN and not segment.perhaps]
+    known = [segment for segment in segments if segment.category is not None]
     doubtful = any(segment.perhaps for segment in segments)
     categories = len({segment.category for segment in known})
-    stretches = sum(segment.end - segment.start for segment in known)
+    stretches = sum(segment.stop - segment.start for segment in known)
     facts = f"{_say_time(seconds, 0.1)}, "
     if segments:
         facts += f"{count_noun(len(known), 'segment')} of {count_noun(categories, 'category')} "
