@@ -106,7 +106,7 @@ def test_a_correction_is_learned_for_the_similar_stretch_exported_and_taken_back
 
 
 def test_a_dropped_take_is_split_and_joined_in_one_change_each(studio, recording, strange):
-    """Also of a take that is not in the library what was replaced comes back, and a refusal changes nothing."""
+    """A take that was only dropped joins the library; what was replaced comes back, and a refusal changes nothing."""
     motion = upload(studio, recording)
     start, end = strange[0]
     middle = round(0.5 * (start + end), 3)
@@ -177,7 +177,7 @@ def test_corrections_survive_a_new_start_and_the_way_into_the_library(library_co
         assert first.post("/api/takes/correct", json=asked).status_code == 201
     with client() as second:
         job = second.post("/api/jobs/add", json={"batch": motion[5:21], "kind": "take", "category_from": None})
-        assert wait_job(second, job.json()["id"])["result"]["added"]
+        assert wait_job(second, job.json()["id"])["result"]["unchanged"]  # it joined with its first correction
         take = next(clip for clip in second.app.state.studio.library.clips() if clip.kind == "take")
         segments = label(second, f"clip:{take.id}", wait_job)
         assert said_at(segments, strange) == [(STRANGE, True), (STRANGE, False)]
@@ -255,8 +255,8 @@ def test_corrections_are_laid_over_labels():
         }
 
     labels = [segment(0, 4, "walk"), segment(4, 6, None), segment(6, 9, "kick")]
-    first = Correction("clip:1", 3.0, 7.0, "hop", 5, "b", made_s=1.0)
-    second = Correction("clip:1", 6.5, 6.8, "skip", 6, "b", made_s=2.0)
+    first = Correction("clip:1", 3.0, 7.0, "hop", 5, "5")
+    second = Correction("clip:1", 6.5, 6.8, "skip", 6, "6")
     spans = [(one["start_s"], one["end_s"], one["category"]) for one in lay_over(labels, [second, first])]
     often = [one.get("repetitions") for one in lay_over([*labels, segment(9, 12, "squat")], [second, first])]
     assert often == [*[None] * 5, 3], "of what was cut nobody knows how often"

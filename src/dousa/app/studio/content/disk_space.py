@@ -9,7 +9,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dousa.app.studio.content.corrections import Corrections
 from dousa.app.studio.core.answers import RefusedError
 from dousa.app.studio.core.workspace import measure
 from dousa.app.studio.jobs.board import ACTIVE
@@ -63,7 +62,6 @@ def free_space(studio: Studio, older_days: int | None = None) -> dict[str, Any]:
     size = before["can_be_freed_bytes"] + sum(measure(folder) for folder in old)
     for folder in (*studio.workspace.list_unused(mentioned), *old):
         shutil.rmtree(folder, ignore_errors=True)
-    Corrections(studio.workspace.root).forget_missing({clip.id for clip in studio.listing.now().clips})
     for job in _list_exports(studio):
         with suppress(RefusedError):  # removed meanwhile
             studio.jobs.remove(job)
