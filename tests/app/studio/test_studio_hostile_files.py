@@ -20,7 +20,7 @@ from dousa.app.studio import Settings
 from dousa.app.studio.core import uploads
 from dousa.app.studio.core.answers import status_of
 from dousa.app.studio.jobs import lanes
-from dousa.app.studio.work.worker import JOBS, QUESTIONS, load_work
+from dousa.app.studio.work.worker import JOBS
 from dousa.errors import DousaError, LibraryError, MotionWriteError
 from dousa.formats import read_motion
 from dousa.motion import CANONICAL_JOINTS
@@ -258,7 +258,7 @@ def test_what_a_file_does_to_its_reader_does_not_reach_the_studio(studio, work, 
 
 
 def test_every_kind_of_work_is_there():
-    assert all(callable(load_work(kind)) for kind in (*JOBS, *QUESTIONS))
+    assert all(callable(lanes.load_work(name)) for name, _, _ in JOBS.values())
 
 
 def test_markup_in_names_stays_text(studio, wait_job):

@@ -185,7 +185,7 @@ def test_a_process_that_dies_is_told_and_the_work_can_be_taken_up(studio, wait_j
 def test_lines_that_are_no_messages_leave_no_job_hanging(studio, wait_job, monkeypatch, lines, said):
     """A worker that writes anything, ends at any moment, or does not end after its answer: the job has an end."""
 
-    def start(settings, kind, request, folder, errors, *, is_job=False):
+    def start(settings, kind, request, folder, errors):
         program = f"import functools; print = functools.partial(print, flush=True); print('ready'); input()\n{lines}"
         command = [sys.executable, "-c", program]
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": errors}

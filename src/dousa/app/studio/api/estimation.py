@@ -16,7 +16,6 @@ from dousa.app.studio.content.motions import Address, MotionName, MotionRef
 from dousa.app.studio.content.studio import Studio, StudioNow
 from dousa.app.studio.core.answers import FILE, Answer, Gate, RefusedError, StrictModel, give_files
 from dousa.app.studio.core.workspace import safe_parts
-from dousa.app.studio.jobs.lanes import ask_process
 from dousa.estimation.silhouettes.repairs import MaskRepair, MaskStroke, find_part, follow_part
 from dousa.messages import Message
 
@@ -153,14 +152,14 @@ def _name_sources(studio: Studio, wanted: EstimateRequest) -> list[str]:
 def preview(studio: StudioNow, wanted: EstimateRequest) -> Answer:
     """What each file is for, the views with their cameras and first silhouettes, and what is missing."""
     folder = studio.workspace.batch_folder(wanted.batch)
-    return Answer(ask_process(studio.settings, "preview", wanted.model_dump(), folder.parent))
+    return Answer(studio.ask("preview.preview", wanted.model_dump(), folder.parent))
 
 
 @router.post("/estimations/example", status_code=201, summary="Make a short example to estimate")
 def make_example(studio: StudioNow) -> Answer:
     """A batch with the silhouettes of a synthetic person who kicks, as four cameras see it."""
     with studio.workspace.fill_batch() as batch:
-        return Answer(ask_process(studio.settings, "example", {"batch": batch}, studio.workspace.root / "files"), 201)
+        return Answer(studio.ask("estimation.write_example", {"batch": batch}, studio.workspace.root / "files"), 201)
 
 
 @router.get("/estimations/{job_id}/frames", summary="Frames that are new since the last time")

@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from fastapi import Depends, Request
 
@@ -22,7 +22,7 @@ from dousa.app.studio.content.motions import Motions
 from dousa.app.studio.core.answers import Gate
 from dousa.app.studio.core.workspace import MentionedBatches, Settings, Workspace
 from dousa.app.studio.jobs.board import JobBoard, Lane
-from dousa.app.studio.jobs.lanes import Reader
+from dousa.app.studio.jobs.lanes import Reader, answer_question
 from dousa.errors import LibraryError
 from dousa.messages import Message
 
@@ -84,6 +84,7 @@ class Studio:
         self.held = self.workspace.hold()  # before the jobs are read, as those of another studio are not interrupted
         self.jobs = JobBoard(self.workspace, make_lanes(self))
         self.reader = Reader(settings.most_memory)
+        self.asker = Reader(None, 2, 6, "studio_jobs.busy_files")
         self.motions = Motions(self.get_library, self.workspace, self.jobs, self.reader)
         self.evaluations = Evaluations(self.motions, self.jobs)
         self.companions = Companions(self.workspace, self.jobs, self.motions, self.reader)
@@ -125,12 +126,23 @@ class Studio:
         """The library."""
         return self.get_library()
 
+    def ask(self, name: str, request: dict[str, Any], folder: Path) -> dict[str, Any]:
+        """Return the result of short work in a process; an older question about the same batch is dropped.
+
+        Raises DousaError as the work, and RefusedError as `Reader.run`: backgrounds of long films take a while, and
+        kernels compile at first.
+        """
+        where = self.settings.library, self.settings.folder, folder
+        about = name, request.get("batch")
+        return self.asker.run(answer_question, name, request, *where, seconds=180.0, about=about)
+
     def close(self) -> None:
         """Stop all work and sharing, and close the library."""
         if self.sharing is not None:
             self.sharing.end()
         self.jobs.close()
         self.reader.close()
+        self.asker.close()
         self.meanings.close()
         with self._opening:
             if self._library is not None:

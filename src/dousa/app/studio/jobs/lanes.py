@@ -13,11 +13,11 @@ import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, TypeVar
 
-from dousa.app.studio.core.answers import Gate, RefusedError, say_packed, to_message
+from dousa.app.studio.core.answers import Gate, RefusedError, pack, say_packed, to_message
 from dousa.app.studio.core.workspace import Settings
 from dousa.app.studio.jobs.board import LOG, Job, JobBoard, JobStopped
 from dousa.errors import DousaError
@@ -73,24 +73,19 @@ def start_worker(
     request: Mapping[str, Any],
     folder: Path,
     errors: IO[bytes] | int,
-    *,
-    is_job: bool = False,
 ) -> tuple[subprocess.Popen[bytes], bytes]:
-    """Start a process that does work in the current language; returns it with the line for its standard input.
+    """Start a process that does a job in the current language; returns it with the line for its standard input.
 
     Parameters
     ----------
     settings : of the studio.
     kind, request : of the work, see `dousa.app.studio.work.worker`.
-    folder : where it may write.
+    folder : of the job; the process waits for one of a killed studio that is still ending there.
     errors : where its standard error goes.
-    is_job : the folder belongs to the job alone; the process waits for one of a killed studio that is still ending
-        there.
     """
     task = {
         "language": get_language(),
         "kind": kind,
-        "is_job": is_job,
         "request": dict(request),
         "folder": str(folder),
         "library": str(settings.library),
@@ -119,27 +114,37 @@ class Reader:
 
     Parameters
     ----------
-    memory : bytes that a process may have.
+    memory : bytes that a process may have; None for any number.
+    at_once, waiting, busy : of the `Gate` before them.
     """
 
-    def __init__(self, memory: int) -> None:
+    def __init__(
+        self, memory: int | None, at_once: int = 2, waiting: int = 12, busy: str = "studio_motions.busy_reading"
+    ) -> None:
         self._memory = memory
-        self._gate = Gate(2, 12, Message("studio_motions.busy_reading"))
+        self._gate = Gate(at_once, waiting, Message(busy))
         self._lock = threading.Lock()
         self._idle: list[subprocess.Popen[bytes]] = []
+        self._under_way: dict[object, subprocess.Popen[bytes]] = {}
 
-    def run(self, function: Callable[..., Result], *args: Any, seconds: float = 60.0) -> Result:
+    def run(self, function: Callable[..., Result], *args: Any, seconds: float = 60.0, about: object = None) -> Result:
         """Return the result of a function of a module, or raise its error.
 
-        Raises RefusedError if it takes longer than ``seconds`` or too much memory, or if too many others wait.
+        An older question ``about`` the same thing is dropped. Raises RefusedError if it takes longer than ``seconds``
+        or too much memory, if too many others wait, or if a newer question came.
         """
-        with self._gate.enter():
+        with self._lock:
+            if (older := self._under_way.pop(about, None)) is not None:
+                kill(older)
+        with self._gate.enter(seconds):
             with self._lock:
                 alive = [process for process in self._idle if process.poll() is None]
                 process = alive.pop() if alive else None
                 self._idle = alive
             if process is None:
                 process = self._begin()
+            if about is not None:
+                self._under_way[about] = process
             ran_out = threading.Event()
 
             def end(process: subprocess.Popen[bytes] = process) -> None:
@@ -153,11 +158,17 @@ class Reader:
             except (OSError, EOFError, pickle.UnpicklingError):
                 if ran_out.is_set():
                     raise RefusedError(422, "studio_jobs.took_long", seconds=seconds) from None
+                if about is not None and self._under_way.get(about) is not process:
+                    raise RefusedError(409, "studio_jobs.replaced") from None
                 raise RefusedError(422, "studio_jobs.no_answer") from None
             finally:
                 timer.cancel()
                 timer.join()  # it may be killing: of a process that is used again nothing may be under way
-            if ran_out.is_set():
+                with self._lock:
+                    replaced = about is not None and self._under_way.get(about) is not process
+                    if about is not None and not replaced:
+                        del self._under_way[about]
+            if ran_out.is_set() or replaced:
                 _end(process)
             else:
                 with self._lock:
@@ -200,13 +211,29 @@ def _converse(process: subprocess.Popen[bytes], question: Any) -> tuple[bool, An
     return answer
 
 
+def load_work(name: str) -> Callable[[dict[str, Any], Context], dict[str, Any]]:
+    """Import a function of the rooms of work by the names of its module and its own, such as ``library.add``."""
+    module, _, function = name.partition(".")
+    work: Callable[[dict[str, Any], Context], dict[str, Any]] = getattr(
+        import_module(f"dousa.app.studio.work.{module}"), function
+    )
+    return work
+
+
+def answer_question(name: str, request: dict[str, Any], library: Path, home: Path, folder: Path) -> dict[str, Any]:
+    """Do short work that nobody watches, for a `Reader`; its messages are rendered in the current language."""
+    context = Context(library, home, folder, lambda done, total, what: None, lambda note: None)
+    found: dict[str, Any] = say_packed(pack(load_work(name)(request, context)))
+    return found
+
+
 def run_in_process(settings: Settings) -> Callable[[Job, JobBoard, threading.Event], dict[str, Any]]:
     """Make the function that runs each job in a new process."""
 
     def run(job: Job, board: JobBoard, stop: threading.Event) -> dict[str, Any]:
         folder = board.folder(job)
         with open(folder / LOG, "ab") as log:
-            process, task = start_worker(settings, job.kind, job.request, folder, log, is_job=True)
+            process, task = start_worker(settings, job.kind, job.request, folder, log)
         watcher = threading.Thread(target=_end_when, args=(stop, process), daemon=True)
         watcher.start()
         try:
@@ -331,75 +358,3 @@ def run_in_thread(
         return work(job.request, Context(settings.library, settings.folder, board.folder(job), progress, tell))
 
     return run
-
-
-_gate = Gate(2, 6, Message("studio_jobs.busy_files"))
-_lock = threading.Lock()
-_under_way: dict[str, subprocess.Popen[bytes]] = {}
-
-
-def ask_process(
-    settings: Settings, kind: str, request: dict[str, Any], folder: Path, *, seconds: float = 180.0
-) -> dict[str, Any]:
-    """Return the result of short work in a process; an older question about the same batch is dropped.
-
-    Raises RefusedError if the work failed, took longer than ``seconds`` (backgrounds of long films take a while, and
-    kernels compile at first), or ended without an answer.
-    """
-    key = f"{settings.folder} {kind} {request.get('batch')}"
-    with _lock:
-        older = _under_way.get(key)
-        if older is not None:
-            kill(older)
-    with _gate.enter(seconds):
-        start = partial(start_worker, settings, kind, request, folder, subprocess.DEVNULL)
-        lines = _run(key, start, seconds)
-    for line in reversed(lines):
-        message = json.loads(line)
-        if "result" in message:
-            result: dict[str, Any] = say_packed(message["result"])
-            return result
-        if "problem" in message:
-            raise RefusedError(422, Message.from_json(message["problem"]))
-    raise RefusedError(422, "studio_jobs.no_answer")
-
-
-def _run(key: str, start: Callable[[], tuple[subprocess.Popen[bytes], bytes]], seconds: float) -> list[bytes]:
-    process, task = start()
-    with _lock:
-        _under_way[key] = process
-    ran_out = threading.Event()
-
-    def end() -> None:
-        ran_out.set()
-        kill(process)
-
-    timer = threading.Timer(seconds, end)
-    timer.start()
-    try:
-        lines = _ask(process, task)
-    finally:
-        timer.cancel()
-        with _lock:
-            replaced = _under_way.get(key) is not process
-            if not replaced:
-                del _under_way[key]
-    if ran_out.is_set():
-        raise RefusedError(422, "studio_jobs.took_long", seconds=seconds)
-    if process.returncode < 0 and replaced:
-        raise RefusedError(409, "studio_jobs.replaced")
-    return lines
-
-
-def _ask(process: subprocess.Popen[bytes], task: bytes) -> list[bytes]:
-    """Read the lines of a process; it ends when its standard input does, so that is closed only afterwards."""
-    assert process.stdin is not None and process.stdout is not None
-    lines: list[bytes] = []
-    with process.stdout, suppress(BrokenPipeError):
-        process.stdin.write(task)
-        process.stdin.flush()
-        lines = process.stdout.read().splitlines()
-    process.wait()
-    with suppress(BrokenPipeError):
-        process.stdin.close()
-    return lines

@@ -12,10 +12,9 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Mapping
-from contextlib import nullcontext, suppress
+from collections.abc import Mapping
+from contextlib import suppress
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, cast
 
@@ -23,7 +22,7 @@ from dousa.app.stops import hear_stops
 from dousa.app.studio.core.answers import Answer, RefusedError, describe_disk, name_error, pack, to_message
 from dousa.app.studio.core.workspace import open_private
 from dousa.app.studio.jobs.board import Lane, describe_fault
-from dousa.app.studio.jobs.lanes import READING, READY, Context, run_in_process, run_in_thread
+from dousa.app.studio.jobs.lanes import READING, READY, Context, load_work, run_in_process, run_in_thread
 from dousa.errors import DousaError, is_interrupt
 from dousa.files.disk import TAKEN, lock_file
 from dousa.files.json_values import refuse_infinite, to_json_value
@@ -32,11 +31,8 @@ from dousa.messages import Message, use_language
 if TYPE_CHECKING:
     from dousa.app.studio.content.studio import Studio
 
-Work = Callable[[dict[str, Any], Context], dict[str, Any]]
-
 _PATIENCE = 15.0  # s to end after the studio has ended, see docs/studio.md
 
-QUESTIONS = {"preview": "preview.preview", "example": "estimation.write_example"}
 JOBS = {
     "add": ("library.add", "library", True),
     "watch": ("library.watch", "library", True),
@@ -51,14 +47,7 @@ JOBS = {
     "estimate": ("estimation.estimate", "estimation", True),
     "masks": ("estimation.prepare_masks", "masks", False),
 }
-"""Kind of a job in a process -> module of this room and function, loaded when it is used; lane; whether it resumes."""
-
-
-def load_work(kind: str) -> Work:
-    """Import the function for a kind of work in a process."""
-    module, _, name = (QUESTIONS.get(kind) or JOBS[kind][0]).partition(".")
-    work: Work = getattr(import_module(f"dousa.app.studio.work.{module}"), name)
-    return work
+"""Kind of a job in a process -> module of this room and function, as of `load_work`; lane; whether it resumes."""
 
 
 def make_lanes(studio: Studio) -> Mapping[str, Lane]:
@@ -101,7 +90,7 @@ def _work() -> None:
         return
     task = json.loads(line)
     threading.Thread(target=_end_with_studio, daemon=True).start()
-    with _wait_for_predecessor(Path(task["folder"]) / _LOCK) if task["is_job"] else nullcontext():
+    with _wait_for_predecessor(Path(task["folder"]) / _LOCK):
         answer = _do(task, out)
     _say(out, answer)
 
@@ -127,8 +116,10 @@ def _read_on_request(questions: IO[bytes], answers: IO[bytes]) -> None:
             answers.flush()
 
 
-def _limit_memory(most: int) -> None:
+def _limit_memory(most: int | None) -> None:
     """Let no more memory be taken; it is in vain where the system does not count it."""
+    if most is None:
+        return
     with suppress(ImportError, OSError, ValueError):
         import resource
 
@@ -178,7 +169,7 @@ def _do(task: dict[str, Any], out: Any) -> dict[str, Any]:
     home = Path(task["home"])
     context = Context(Path(task["library"]), home, Path(task["folder"]), progress, tell)
     try:
-        result = load_work(task["kind"])(task["request"], context)
+        result = load_work(JOBS[task["kind"]][0])(task["request"], context)
         return {"result": to_json_value(pack(result), refuse_infinite)}
     except DousaError as error:
         return {"problem": name_error(error, home).to_json()}
