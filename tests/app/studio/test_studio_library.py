@@ -3,7 +3,6 @@
 import os
 import shutil
 import sqlite3
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
 
@@ -12,7 +11,7 @@ import pytest
 
 from app.studio.test_studio_search import add_take
 from dousa.app.player.figures import MINIATURE_BYTES, encode_miniature
-from dousa.app.studio.content.clips import LENGTHS, Thumbnails
+from dousa.app.studio.content.clips import LENGTHS, Figures
 from dousa.app.studio.jobs.board import FolderWatch
 from dousa.formats.registry import write_motion
 from dousa.library import Library
@@ -175,30 +174,8 @@ def test_figures_are_those_of_the_clips_in_the_order_asked_for(studio):
 
 def test_figures_are_made_once(studio, monkeypatch):
     first = studio.post("/api/clips/thumbnails", json={"clips": [1, 2, 3]}).content
-    monkeypatch.setattr("dousa.app.player.figures.encode_miniature", None)
+    monkeypatch.setattr("dousa.app.studio.content.clips.encode_miniature", None)
     assert studio.post("/api/clips/thumbnails", json={"clips": [1, 2, 3]}).content == first
-
-
-def test_a_figure_is_made_anew_when_the_clip_of_its_number_is_another(studio):
-    """As when the file of the library was made again: its numbers begin at one."""
-    right = studio.post("/api/clips/thumbnails", json={"clips": [1]}).content
-    path = studio.app.state.studio.workspace.root / "thumbnails.sqlite"
-    with sqlite3.connect(path) as kept:
-        kept.execute("UPDATE figures SET content = 'of another clip', record = zeroblob(?)", (MINIATURE_BYTES,))
-    kept.close()
-    assert studio.post("/api/clips/thumbnails", json={"clips": [1]}).content == right
-
-
-@pytest.mark.parametrize("damage", [b"this is not a database" * 100, b""])
-def test_a_damaged_file_of_figures_is_made_again(studio, damage):
-    path = studio.app.state.studio.workspace.root / "thumbnails.sqlite"
-    path.write_bytes(damage)
-    first = studio.post("/api/clips/thumbnails", json={"clips": [1, 2]}).content
-    assert any(first)
-    assert studio.post("/api/clips/thumbnails", json={"clips": [1, 2]}).content == first
-    with sqlite3.connect(path) as kept:
-        assert kept.execute("SELECT count(*) FROM figures").fetchone() in ((2,), (0,))
-    kept.close()
 
 
 def test_a_damaged_clip_does_not_take_the_others_with_it(studio, library_copy):
@@ -210,29 +187,16 @@ def test_a_damaged_clip_does_not_take_the_others_with_it(studio, library_copy):
     assert parts == [True, False, True]
 
 
-def test_figures_of_clips_that_are_gone_do_not_pile_up(studio, monkeypatch):
-    monkeypatch.setattr(studio.app.state.studio.thumbnails, "spare", 2)
-    studio.post("/api/clips/thumbnails", json={"clips": list(range(1, 21))})
-    studio.post("/api/clips/remove", json={"clips": list(range(1, 21))})
-    studio.post("/api/clips/thumbnails", json={"clips": [21, 22]})
-    path = studio.app.state.studio.workspace.root / "thumbnails.sqlite"
-    with sqlite3.connect(path) as kept:
-        assert kept.execute("SELECT clip_id FROM figures ORDER BY clip_id").fetchall() == [(21,), (22,)]
-    kept.close()
+def test_few_figures_are_remembered(studio):
+    few, library = Figures(most=2), open_library(studio)
+    for numbers in ([1, 2], [3, 4], [5, 6]):
+        assert any(few.get(library, numbers))
+    assert [number for number, _ in few._made] == [1, 2, 3, 4, 5, 6][4:]
 
 
 @pytest.mark.parametrize("clips", [[0], [-1], [2**31], [1.5], ["x"], [None], list(range(1, 502)), "1", {"1": 1}])
 def test_bad_numbers_are_refused(studio, clips):
     assert studio.post("/api/clips/thumbnails", json={"clips": clips}).status_code == 422
-
-
-def test_several_programs_may_make_figures_at_once(studio):
-    library, home = open_library(studio), studio.app.state.studio.workspace.root
-    numbers = list(range(1, N + 1))
-    with ThreadPoolExecutor(6) as pool:
-        found = list(pool.map(lambda _: Thumbnails.of(home).get(library, numbers), range(12)))
-    assert len(set(found)) == 1
-    assert len(found[0]) == N * MINIATURE_BYTES
 
 
 def test_a_take_does_not_lack_a_category(studio, tmp_path):
@@ -319,10 +283,6 @@ def test_added_clips_can_be_listed_together_and_have_their_figures(studio, bvh, 
         ("hop", "new.bvh", "hop"),
         ("", "plain.bvh", None),
     ]
-    path = studio.app.state.studio.workspace.root / "thumbnails.sqlite"
-    with sqlite3.connect(path) as kept:
-        assert kept.execute("SELECT count(*) FROM figures").fetchone() == (2,)
-    kept.close()
 
 
 def test_a_table_of_labels_must_come_with_the_files(studio, bvh, wait_job, tmp_path):

@@ -57,7 +57,7 @@ def test_a_clip_with_another_content_is_not_on_the_map_any_more(mapped, monkeypa
 
 
 def test_a_damaged_map_is_no_map(mapped):
-    path = mapped.app.state.studio.workspace.root / "map.npz"
+    path = mapped.app.state.studio.workspace.root / "map.json"
     path.write_bytes(path.read_bytes()[:200])
     assert not mapped.get("/api/map").json()["is_made"]
 

@@ -172,7 +172,7 @@ def get_map(studio: StudioNow) -> Answer:
 @router.post("/clips/thumbnails", summary="Small moving figures of clips", **FILE)
 def get_thumbnails(studio: StudioNow, wanted: Pictured) -> Response:
     """1,456 bytes for each number, in their order; zeros for a clip that is not there."""
-    content = studio.thumbnails.get(studio.library, wanted.clips)
+    content = studio.figures.get(studio.library, wanted.clips)
     return Response(content, media_type="application/octet-stream")
 
 

@@ -1,22 +1,19 @@
 """List the clips of a library for the pages: filtered, counted by facets, in parts, with small moving figures.
 
 The clips are kept in memory with columns of numbers beside them, and read again when the revision of the library
-changes, as another program may have written to it. Figures and the map lie in files of the studio, keyed by clip number
-and `Library.contents`, so that a figure is never shown for another clip. Both files can be deleted at any time, and
-several programs may use the figures at once.
+changes, as another program may have written to it. Figures and the map are keyed by clip number and `Library.contents`,
+so that a figure is never shown for another clip.
 """
 
 from __future__ import annotations
 
-import hashlib
-import io
+import json
 import os
 import re
-import sqlite3
 import threading
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager, suppress
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -30,8 +27,7 @@ from dousa.app.studio.content.motions import Address
 from dousa.app.studio.core.answers import say
 from dousa.app.studio.core.workspace import write_file
 from dousa.arrays import Mask
-from dousa.errors import DousaError, InvalidMotionError, LibraryDamagedError, LibraryError
-from dousa.files.npz_arrays import open_npz
+from dousa.errors import InvalidMotionError, LibraryDamagedError
 from dousa.library.label_rules import fits_category
 from dousa.library.store.selection import KnownClips
 
@@ -315,105 +311,28 @@ def _shared_folder(folders: Sequence[str]) -> str:
         return ""
 
 
-_FORM = 1  # of the file by definition: another one empties it; count it up when encode_miniature draws otherwise
-
-
-class Thumbnails:
-    """The figures of one library, in a file that is made with the first figure.
+class Figures:
+    """The figures of clips, made when they are shown; those shown last are remembered.
 
     Parameters
     ----------
-    path : of the file.
-    at_once : figures made between two writes; of more, more are lost where the program is killed.
-    spare : figures of clips that are gone may stay so many; with fewer the file is cleared more often.
+    most : figures that are remembered, 1.5 kB each; with fewer those of long takes are made again more often.
     """
 
-    def __init__(self, path: Path, at_once: int = 250, spare: int = 2_000) -> None:
-        self._path, self._at_once, self.spare = path, at_once, spare
-
-    @classmethod
-    def of(cls, home: Path) -> Thumbnails:
-        """Open the figures in the folder of a studio."""
-        return cls(home / "thumbnails.sqlite")
+    def __init__(self, *, most: int = 5_000) -> None:
+        self._most = most
+        self._made: dict[tuple[int, str], bytes] = {}
 
     def get(self, library: Library, clip_ids: Sequence[int]) -> bytes:
         """Return records of `encode_miniature` in the order of the numbers; zeros for clips that are missing or
         damaged."""
         contents = library.contents(clip_ids)
-        records = self._read(contents)
-        lacking = [clip_id for clip_id in contents if clip_id not in records]
-        for start in range(0, len(lacking), self._at_once):
-            made = _make(library, lacking[start : start + self._at_once])
-            self._write({clip_id: (contents[clip_id], record) for clip_id, record in made.items()}, library)
-            records |= made
-        nothing = bytes(MINIATURE_BYTES)
-        return b"".join(records.get(clip_id, nothing) for clip_id in clip_ids)
-
-    def make_ahead(self, library: Library, clip_ids: Sequence[int]) -> None:
-        """Make the missing figures, so that no page waits for them."""
-        for start in range(0, len(clip_ids), self._at_once):
-            self.get(library, clip_ids[start : start + self._at_once])
-
-    def _read(self, contents: Mapping[int, str]) -> dict[int, bytes]:
-        found: dict[int, bytes] = {}
-        if not contents or not self._path.exists():
-            return found
-        with suppress(sqlite3.Error), self._open() as connection:
-            marks = ",".join("?" * len(contents))
-            query = f"SELECT clip_id, content, record FROM figures WHERE clip_id IN ({marks})"
-            for clip_id, content, record in connection.execute(query, list(contents)):
-                if content == contents[clip_id] and len(record) == MINIATURE_BYTES:
-                    found[clip_id] = record
-        return found
-
-    def _write(self, made: Mapping[int, tuple[str, bytes]], library: Library) -> None:
-        """Store figures; those that cannot be stored are made again next time."""
-        rows = [(clip_id, content, record) for clip_id, (content, record) in made.items()]
-        try:
-            self._insert(rows, library)
-        except sqlite3.DatabaseError as error:
-            if isinstance(error, sqlite3.OperationalError):
-                return  # another program writes for long, or the disk is full
-            for name in ("", "-wal", "-shm"):  # damaged
-                with suppress(OSError):
-                    Path(f"{self._path}{name}").unlink()
-
-    def _insert(self, rows: Sequence[tuple[int, str, bytes]], library: Library) -> None:
-        with self._open() as connection, connection:
-            connection.executemany("INSERT OR REPLACE INTO figures VALUES (?, ?, ?)", rows)
-            (count,) = connection.execute("SELECT count(*) FROM figures").fetchone()
-            if count > self.spare:
-                self._forget_gone(connection, int(count), library)
-
-    def _forget_gone(self, connection: sqlite3.Connection, count: int, library: Library) -> None:
-        stats = library.stats()
-        if count <= stats.n_clips + stats.n_takes + self.spare:
-            return
-        kept = {clip.id for clip in library.clips()}
-        known = [row[0] for row in connection.execute("SELECT clip_id FROM figures")]
-        gone = [(clip_id,) for clip_id in known if clip_id not in kept]
-        connection.executemany("DELETE FROM figures WHERE clip_id = ?", gone)
-
-    @contextmanager
-    def _open(self) -> Iterator[sqlite3.Connection]:
-        with closing(sqlite3.connect(self._path, timeout=5.0)) as connection:  # s for another program that writes
-            if connection.execute("PRAGMA user_version").fetchone()[0] != _FORM:
-                _start(connection)
-            yield connection
-
-
-def _start(connection: sqlite3.Connection) -> None:
-    connection.execute("PRAGMA journal_mode = WAL")
-    connection.execute("PRAGMA synchronous = NORMAL")
-    with connection:
-        connection.execute("BEGIN IMMEDIATE")
-        if connection.execute("PRAGMA user_version").fetchone()[0] == _FORM:
-            return  # another program was quicker
-        connection.execute("DROP TABLE IF EXISTS figures")
-        connection.execute(
-            "CREATE TABLE figures (clip_id INTEGER PRIMARY KEY, content TEXT NOT NULL, record BLOB NOT NULL)"
-        )
-        connection.execute(f"PRAGMA user_version = {_FORM}")
+        found = {number: self._made.get((number, content)) for number, content in contents.items()}
+        made = _make(library, [number for number, record in found.items() if record is None])
+        if len(self._made) > self._most:
+            self._made = {}
+        self._made |= {(number, contents[number]): record for number, record in made.items()}
+        return b"".join(made.get(number) or found.get(number) or bytes(MINIATURE_BYTES) for number in clip_ids)
 
 
 def _make(library: Library, clip_ids: Sequence[int]) -> dict[int, bytes]:
@@ -430,32 +349,15 @@ def _make(library: Library, clip_ids: Sequence[int]) -> dict[int, bytes]:
     return made
 
 
-_MAP_NAME = "map.npz"
+_MAP_NAME = "map.json"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _KeptPoints:
-    """The arrays of the file: (N,) numbers, marks of contents, (N, 2) points, and the numbers left out."""
-
-    ids: NDArray[np.int64]
-    marks: NDArray[np.int64]
-    points: NDArray[np.float32]
-    left_out: NDArray[np.int64]
-
-
-def keep_map(home: Path, found: ClipMap, contents: Mapping[int, str]) -> None:
+def keep_map(home: Path, found: ClipMap, contents: Mapping[int, str], *, digits: int = 4) -> None:
     """Write a map into the folder of a studio; ``contents`` are those of `Library.contents` for its clips."""
-    there = np.array([number in contents for number in found.clip_ids.tolist()], bool)
-    ids = found.clip_ids[there]
-    marks = np.array([_mark(contents[number]) for number in ids.tolist()], np.int64)
-    left_out = np.array(found.left_out, np.int64)
-    buffer = io.BytesIO()
-    np.savez(buffer, ids=ids, marks=marks, points=found.points[there], left_out=left_out)
-    write_file(home / _MAP_NAME, buffer.getvalue())
-
-
-def _mark(content: str) -> int:
-    return int.from_bytes(hashlib.blake2b(content.encode(), digest_size=8).digest(), "little", signed=True)
+    places = zip(found.clip_ids.tolist(), found.points.tolist(), strict=True)
+    clips = [[n, contents[n], round(x, digits), round(y, digits)] for n, (x, y) in places if n in contents]
+    kept = {"clips": clips, "left_out": list(found.left_out)}
+    write_file(home / _MAP_NAME, json.dumps(kept).encode())
 
 
 class KeptMap:
@@ -492,34 +394,24 @@ class KeptMap:
         except OSError:
             return 0
 
-    def _read(self) -> _KeptPoints | None:
-        with suppress(OSError, DousaError), open_npz(self._path, LibraryError) as arrays:
-            ids, marks, left_out = (arrays.read(name, "i", 1).astype(np.int64) for name in ("ids", "marks", "left_out"))
-            points = arrays.read("points", "f", 2).astype(np.float32)
-            if ids.shape == marks.shape and points.shape == (len(ids), 2) and np.isfinite(points).all():
-                return _KeptPoints(ids, marks, points, left_out)
-        return None
-
-    def _compare(self, snapshot: Snapshot, *, map_digits: int = 4) -> dict[str, Any]:
-        # map_digits: of places on the map, from -1 to 1
-        kept = self._read()
+    def _compare(self, snapshot: Snapshot) -> dict[str, Any]:
         clips = {clip.id: clip for clip in snapshot.clips if clip.kind == "clip"}
-        if kept is None:
+        try:
+            kept = json.loads(self._path.read_bytes())
+            places = {int(number): (str(content), float(x), float(y)) for number, content, x, y in kept["clips"]}
+            lacking = [number for number in kept["left_out"] if number in clips]
+        except (OSError, ValueError, KeyError, TypeError):
             lists: dict[str, Any] = {name: [] for name in ("ids", "x", "y", "categories", "category")}
             return {"is_made": False, **lists, "n_new": len(clips), "n_left_out": 0}
-        contents = self._library().contents([number for number in kept.ids.tolist() if number in clips])
-        marks = {number: _mark(content) for number, content in contents.items()}
-        pairs = zip(kept.ids.tolist(), kept.marks.tolist(), strict=True)
-        still = np.array([marks.get(number) == mark for number, mark in pairs], bool)
-        ids = kept.ids[still].tolist()
+        contents = self._library().contents([number for number in places if number in clips])
+        ids = [number for number in places if contents.get(number) == places[number][0]]
         names = sorted({clips[number].category or "" for number in ids})
         code = {name: place for place, name in enumerate(names)}
-        lacking = [number for number in kept.left_out.tolist() if number in clips]
         return {
             "is_made": True,
             "ids": ids,
-            "x": [round(value, map_digits) for value in kept.points[still, 0].tolist()],
-            "y": [round(value, map_digits) for value in kept.points[still, 1].tolist()],
+            "x": [places[number][1] for number in ids],
+            "y": [places[number][2] for number in ids],
             "categories": names,
             "category": [code[clips[number].category or ""] for number in ids],
             "n_new": len(clips) - len(ids) - len(lacking),

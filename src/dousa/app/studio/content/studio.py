@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from fastapi import Depends, Request
 
 from dousa.app.studio.content.clip_words import Meanings
-from dousa.app.studio.content.clips import KeptMap, Listing, Thumbnails
+from dousa.app.studio.content.clips import Figures, KeptMap, Listing
 from dousa.app.studio.content.companions import Companions
 from dousa.app.studio.content.evaluations import Evaluations
 from dousa.app.studio.content.footage import Footages
@@ -97,7 +97,7 @@ class Studio:
         self.learning = Learning()
         self.searching = Gate(4, 12, Message("studio_motions.busy_searching"), patience_s=20.0)
         self.mentioned = MentionedBatches(self.workspace.root)
-        self.thumbnails = Thumbnails.of(self.workspace.root)
+        self.figures = Figures()
         self.sharing: Sharing | None = None  # set by `serve` if the studio is shared
 
     def get_library(self) -> Library:

@@ -51,14 +51,11 @@ def watch(request: dict[str, Any], context: Context) -> dict[str, Any]:
 
 def _take_in(paths: Sequence[Path], options: Mapping[str, Any], context: Context) -> dict[str, Any]:
     with context.open_library() as library:
-        before = {clip.id for clip in library.clips()}
         report = library.add(
             paths,
             progress=lambda done, total, path: context.progress(done, total, Path(str(path)).name),
             **options,
         )
-        if report.added or report.replaced:
-            _draw_ahead(library, before, context)
         said = {
             "skipped": [{"path": one.path, "reason": shorten(one.reason, context.home)} for one in report.skipped],
             "warnings": [{"path": path, "warning": shorten(text, context.home)} for path, text in report.warnings],
@@ -70,15 +67,6 @@ def _inside(rule: str | None, folder: Path) -> str | None:
     """Resolve the table of a rule inside the batch, so that no other file of this machine is read."""
     kind, _, name = (rule or "").partition(":")
     return f"csv:{folder.joinpath(*safe_parts(name))}" if kind == "csv" and name else rule
-
-
-def _draw_ahead(library: Library, before: set[int], context: Context, *, most_drawn: int = 2_000) -> None:
-    """Make the figures of new clips, so that the page shows them at once."""
-    # most_drawn: clips whose figures are made ahead; a longer list gets its own when it is looked at
-    from dousa.app.studio.content.clips import Thumbnails
-
-    fresh = [clip.id for clip in library.clips() if clip.id not in before][:most_drawn]
-    Thumbnails.of(context.home).make_ahead(library, fresh)
 
 
 def _without_folder(value: Any, folder: str) -> Any:
