@@ -346,24 +346,6 @@ def test_a_repair_looks_once_where_nothing_is_damaged(studio, wait_job, library_
     assert check({"repair": True}, context)["sound"] and len(looks) == 1
 
 
-def test_files_of_jobs_are_read_once(tmp_path, monkeypatch):
-    from dousa.app.studio.core.workspace import MentionedBatches
-
-    batches = [f"{k:016x}" for k in range(3)]
-    for name in batches:
-        (tmp_path / "files" / name).mkdir(parents=True)
-    job = tmp_path / "jobs" / "one" / "job.json"
-    job.parent.mkdir(parents=True)
-    job.write_text(f'{{"motion": "file:{batches[1]}/a.bvh", "value": 0.1234567890123456789}}')
-    mentioned, reads, read = MentionedBatches(tmp_path), [], Path.read_bytes
-    monkeypatch.setattr(Path, "read_bytes", lambda path: reads.append(path) or read(path))
-    assert mentioned.list() == mentioned.list() == {batches[1]} and len(reads) == 1
-    job.write_text(f'{{"motion": "file:{batches[2]}/a.bvh", "other": "{batches[0]}"}}')
-    assert mentioned.list() == {batches[0], batches[2]} and len(reads) == 2
-    job.unlink()
-    assert mentioned.list() == set()
-
-
 def test_a_backup_lies_beside_the_library(studio, wait_job, library_copy):
     done = run(studio, wait_job, "backup")
     (copy,) = library_copy.with_name(f"{library_copy.stem}.backups").iterdir()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from app.studio.library_page import CELLS, click, wait_count
-from dousa.app.studio.content.clip_words import ClipWords, plain, read_text
+from dousa.app.studio.content.clip_words import find_words, plain, read_text
 from dousa.library import TextMatches
 
 KEYS = pytest.importorskip("selenium.webdriver", reason="selenium is not installed: pip install selenium").Keys
@@ -12,45 +12,29 @@ TEXTS = [plain(text) for text in ("HDM05/kick/right/hdm_01.bvh", "hdm05/kick/lef
 IDS = np.array([7, 3, 9])
 
 
-def match_nothing(text):
-    return TextMatches(np.zeros(0, np.int64), np.zeros(0), {})
-
-
 def match_last_two(text):
     return TextMatches(np.array([9, 3]), np.array([0.9, 0.6]), {"gehen": "walk"})
 
 
 @pytest.mark.parametrize(
-    ("text", "fits", "taken_for"),
-    [
-        ("kick", [1, 1, 0], {}),
-        ("KICK ｌｅｆｔ", [0, 1, 0], {}),
-        ("kikc", [1, 1, 0], {"kikc": "kick"}),
-        ("kikc hdm_02", [0, 1, 0], {"kikc": "kick"}),
-        ("favorite", [0, 0, 1], {"favorite": "favourite"}),
-        ("zebra", [0, 0, 0], {}),
-        ("hdm_03", [0, 0, 0], {}),  # numbers are not misspelt
-    ],
+    ("text", "fits"), [("kick", [1, 1, 0]), ("KICK ｌｅｆｔ", [0, 1, 0]), ("zebra", [0, 0, 0]), ("hdm_03", [0, 0, 0])]
 )
-def test_what_is_nowhere_stands_for_what_is_near(text, fits, taken_for):
-    reading = read_text(ClipWords(TEXTS), IDS, text, match_nothing, wide=False)
-    assert reading.fits.tolist() == [bool(fit) for fit in fits]
-    assert reading.taken_for == taken_for
+def test_every_word_is_looked_for_by_its_letters(text, fits):
+    assert find_words(TEXTS, text).tolist() == [bool(fit) for fit in fits]
 
 
 def test_what_is_called_so_comes_before_what_does_so():
-    words = ClipWords(TEXTS)
-    narrow = read_text(words, IDS, "right", match_last_two, wide=False)
+    narrow = read_text(TEXTS, IDS, "right", match_last_two, wide=False)
     assert (narrow.fits.tolist(), narrow.more) == ([True, False, False], 2)
-    wide = read_text(words, IDS, "right", match_last_two, wide=True)
+    wide = read_text(TEXTS, IDS, "right", match_last_two, wide=True)
     assert wide.fits.all() and np.argsort(-wide.scores).tolist() == [0, 2, 1]
-    meant = read_text(words, IDS, "gehen", match_last_two, wide=False)
+    meant = read_text(TEXTS, IDS, "gehen", match_last_two, wide=False)
     assert meant.fits.tolist() == [False, True, True] and meant.taken_for == {"gehen": "walk"}
-    assert read_text(words, IDS, " ", match_last_two, wide=False).fits is None
+    assert read_text(TEXTS, IDS, " ", match_last_two, wide=False).fits is None
 
 
 def test_as_long_as_words_are_read_names_are_found():
-    reading = read_text(ClipWords(TEXTS), IDS, "walk", lambda text: None, wide=False)
+    reading = read_text(TEXTS, IDS, "walk", lambda text: None, wide=False)
     assert reading.pending and reading.fits.tolist() == [False, False, True]
 
 
@@ -87,6 +71,8 @@ def test_a_level_stands_for_all_below_it(studio):
 
 def test_the_box_finds_what_is_misspelt_and_what_is_done(studio):
     find = lambda text: studio.get("/api/clips", params={"text": text, "limit": 500}).json()  # noqa: E731
+    while find("sqaut")["reading"]["pending"]:
+        pass
     assert find("sqaut")["total"] == 6 and find("sqaut")["reading"]["taken_for"] == {"sqaut": "squat"}
     while find("蹴る")["reading"]["pending"]:
         pass

@@ -71,14 +71,12 @@ def encode_player_data(assessment: Assessment, language: str = "en", max_rate: f
     first = round(start / MILLIMETRES * reference.frame_rate)
     words = load_section("report", language)
     return {
-        "version": 1,
-        "language": language,
-        "rate": rate,
+        **_describe(language, rate, {}),
+        "assessed": True,
         "reference": encode_figure(reference, reference.name, rate, Placed(reference_turn, origin=first)),
         "performance": encode_figure(performance, performance.name, rate, Placed(turn)),
         "step": encode_array(step, "<i4"),
         "time": encode_array(same, "<i4"),
-        **describe_body(language),
         "events": _describe_events(assessment, language),
         "furi": [
             {"start": _seconds(furi.start_s), "end": _seconds(furi.end_s), "label": furi.label}
@@ -89,7 +87,6 @@ def encode_player_data(assessment: Assessment, language: str = "en", max_rate: f
             kind: {"label": label, "letter": words[f"letter_{kind}"]}
             for kind, label in name_all(KINDS, language).items()
         },
-        "texts": load_section("player", language),
     }
 
 

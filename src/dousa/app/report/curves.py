@@ -1,20 +1,17 @@
-"""Curves for the eye and for spreadsheets: thinned without losing a peak, summed up by the second, as CSV."""
+"""Tables of the report, and curves and events as CSV."""
 
 from __future__ import annotations
 
 import csv
 import io
-import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from dousa.app.drawing.markup import build_cells, build_heads, element, format_number, frame_table
-from dousa.arrays import FloatArray
 from dousa.evaluation.grade.result import Assessment
 from dousa.evaluation.posture.posture import SEGMENTS
-from dousa.evaluation.words import KINDS, LAPSE_KINDS, SEGMENT_NAMES, describe_segments, format_time, name_all
+from dousa.evaluation.words import KINDS, LAPSE_KINDS, SEGMENT_NAMES, describe_segments, format_time
 
 _COLUMNS = (
     "time_s reference_s matched_s furi lag_ms facing_deg d_space d_space_limit d_within d_within_limit d_path"
@@ -28,59 +25,6 @@ def furi_numbers(assessment: Assessment) -> np.ndarray:
     for number, furi in enumerate(assessment.furi):
         numbers[(times >= furi.start_s) & (times < furi.end_s)] = number
     return numbers
-
-
-@dataclass(frozen=True, slots=True)
-class SecondRow:
-    """One second of the performance: the greatest distances, the median lag, the worst segment.
-
-    Parameters
-    ----------
-    start_s : s.
-    matched_s : reference time at its start, s.
-    d_space, d_within, lag_ms : over the second; nan if there is nothing.
-    segment : the worst one; empty if there is nothing.
-    residual_deg : its greatest angle.
-    """
-
-    start_s: float
-    matched_s: float
-    d_space: float
-    d_within: float
-    lag_ms: float
-    segment: str
-    residual_deg: float
-
-
-def summarise_seconds(assessment: Assessment) -> tuple[SecondRow, ...]:
-    """The curves second by second."""
-    whole = np.floor(assessment.times + 1e-9).astype(int)
-    rows = []
-    for second in range(int(whole[-1]) + 1 if len(whole) else 0):
-        first, end = np.searchsorted(whole, [second, second + 1])
-        if first == end:
-            continue
-        span = slice(first, end)
-        worst = np.fmax.reduce(assessment.residual[span], axis=0)
-        known = np.isfinite(worst)
-        index = int(np.argmax(np.where(known, worst, -1.0)))
-        rows.append(
-            SecondRow(
-                float(second),
-                float(assessment.matched_time[first]),
-                float(np.fmax.reduce(assessment.d_space[span])),
-                float(np.fmax.reduce(assessment.d_within[span])),
-                1000.0 * _median(assessment.lag[span]),
-                SEGMENTS[index] if known.any() else "",
-                float(np.degrees(worst[index])),
-            )
-        )
-    return tuple(rows)
-
-
-def _median(values: FloatArray) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else float("nan")
 
 
 def to_curves_csv(assessment: Assessment) -> bytes:
@@ -152,7 +96,7 @@ def build_details(title: str, content: str, count: int | None = None) -> str:
 
 
 def build_tables(assessment: Assessment, words: Mapping[str, str], language: str) -> str:
-    """Errors, lapses, curves by the second, and what was not seen."""
+    """Errors, lapses, and what was not seen."""
     lapses: list[tuple[str, ...]] = [
         (
             format_time(lapse.start_s),
@@ -172,7 +116,6 @@ def build_tables(assessment: Assessment, words: Mapping[str, str], language: str
             _list_events(assessment, language),
         ),
         "lapses_table": ("start end kind says", lapses),
-        "seconds_table": ("time matched d# d* lag worst off", _list_seconds(assessment, language)),
         "gaps_table": ("start end segment", gaps),
     }
     none = element("p", None, words["none"])
@@ -201,20 +144,4 @@ def _list_events(assessment: Assessment, language: str) -> list[tuple[str, ...]]
             event.says.render(language),
         )
         for event in assessment.events
-    ]
-
-
-def _list_seconds(assessment: Assessment, language: str) -> list[tuple[str, ...]]:
-    names = name_all(SEGMENT_NAMES, language)
-    return [
-        (
-            format_time(row.start_s).removesuffix(".0"),
-            format_time(row.matched_s),
-            format_number(row.d_space, 3),
-            format_number(row.d_within, 3),
-            format_number(row.lag_ms, 0),
-            names.get(row.segment, "–"),
-            format_number(row.residual_deg, 0) if math.isfinite(row.residual_deg) else "–",
-        )
-        for row in summarise_seconds(assessment)
     ]

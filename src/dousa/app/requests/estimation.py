@@ -51,6 +51,17 @@ SettingsFile = Annotated[
         "of the tracker; sex, bones, kind, background_method, model.",
     ),
 ]
+CamerasFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--cameras",
+        "--calibration",
+        metavar="FILE",
+        help="Calibration: TOML of Pose2Sim, Anipose or Caliscope, XML of Qualisys, .xcp of Vicon, EasyMocap, "
+        "OpenCap, BioCV, OpenCV YAML, XML or JSON, an npz with cameras; or their folder. Cameras are matched to "
+        "the views by name, else by order.",
+    ),
+]
 Films = Annotated[
     list[Path],
     typer.Argument(
@@ -189,17 +200,7 @@ class EstimationRequest:
     sources: tuple[Path, ...]
     settings: TrackerSettings = dataclasses.field(default_factory=lambda: choose_settings({}))
     outputs: Outputs = dataclasses.field(default_factory=Outputs)
-    cameras: Annotated[
-        Path | None,
-        typer.Option(
-            "--cameras",
-            "--calibration",
-            metavar="FILE",
-            help="Calibration: TOML of Pose2Sim, Anipose or Caliscope, XML of Qualisys, .xcp of Vicon, EasyMocap, "
-            "OpenCap, BioCV, OpenCV YAML, XML or JSON, an npz with cameras; or their folder. Cameras are matched to "
-            "the views by name, else by order.",
-        ),
-    ] = None
+    cameras: CamerasFile = None
     backgrounds: tuple[Path, ...] = ()
     background_method: BackgroundMethod | None = None
     kind: SourceKind | None = None
@@ -430,15 +431,7 @@ class RenderRequest:
 
     motion: Path
     output: Path
-    cameras: Annotated[
-        Path | None,
-        typer.Option(
-            "--cameras",
-            "--calibration",
-            metavar="FILE",
-            help="Calibration, as for estimate. Default: a ring of cameras.",
-        ),
-    ] = None
+    cameras: CamerasFile = None
     n_ring: int = 4
     size: tuple[int, int] | None = None
     body: BodyFile = None
@@ -471,15 +464,7 @@ class CalibrationRequest:
             "(squares, square, marker; DICT_4X4_50 or :DICTIONARY).",
         ),
     ] = None
-    cameras: Annotated[
-        Path | None,
-        typer.Option(
-            "--cameras",
-            "--calibration",
-            metavar="FILE",
-            help="Calibration whose focal lengths and distortion are right.",
-        ),
-    ] = None
+    cameras: CamerasFile = None
     focal: FocalLength = None
     offsets: Offsets = "auto"
     rate: Rate = None
@@ -494,10 +479,7 @@ class SynchronisationRequest:
     """The films, or files of their keypoints, whose times are compared."""
 
     films: tuple[Path, ...]
-    cameras: Annotated[
-        Path | None,
-        typer.Option("--cameras", "--calibration", metavar="FILE", help="Calibration, if there is one: more exact."),
-    ] = None
+    cameras: CamerasFile = None
     rate: Rate = None
     size: PictureSize = None
 

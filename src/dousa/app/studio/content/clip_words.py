@@ -1,9 +1,7 @@
-"""Understand the text in the search box of the Library page: names and labels by their letters, misspelt, or by
-meaning."""
+"""Understand the text in the search box of the Library page: names and labels by their letters, or by meaning."""
 
 from __future__ import annotations
 
-import re
 import threading
 import unicodedata
 from collections.abc import Callable, Sequence
@@ -20,8 +18,6 @@ from dousa.library import TextMatches
 
 if TYPE_CHECKING:
     from dousa.library import Library
-
-_WORD = re.compile(r"[^\W_]+")
 
 
 def plain(text: str) -> str:
@@ -49,61 +45,13 @@ class Reading:
     pending: bool = False
 
 
-class ClipWords:
-    """The names and labels of clips; ``texts`` holds one text for each clip, normalised by `plain`."""
-
-    def __init__(self, texts: Sequence[str]) -> None:
-        self._texts = texts
-        self._known: list[str] | None = None
-
-    def find(self, text: str) -> Mask | None:
-        """Find clips that contain every word of a text; None for a text without words."""
-        words = plain(text).split()
-        if not words:
-            return None
-        fits = np.ones(len(self._texts), bool)
-        for word in words:
-            fits &= self._having([word])
-        return fits
-
-    def find_misspelt(self, text: str) -> tuple[Mask, dict[str, str]]:
-        """Find clips that contain every word, unknown words replaced by the nearest known ones; returns these too."""
-        fits, taken_for = np.ones(len(self._texts), bool), {}
-        for word in plain(text).split():
-            own = self._having([word])
-            if not own.any():
-                others = self._correct(word)
-                own = self._having(others)
-                if others:
-                    taken_for[word] = ", ".join(others)
-            fits &= own
-        return fits, taken_for
-
-    def _having(self, words: Sequence[str]) -> Mask:
-        """Find clips that contain any of the words; one loop for each word is five times as fast as one over all."""
-        fits = np.zeros(len(self._texts), bool)
-        for word in words:
-            fits |= np.array([word in known for known in self._texts], bool)
-        return fits
-
-    def _correct(self, word: str, *, letters: Sequence[int] = (4, 8)) -> list[str]:
-        """Find the known words nearest to a word that differ from it by few letters.
-
-        A word may be misspelt once, twice ... from so many ``letters`` on; with fewer, short words find anything.
-        """
-        from rapidfuzz import process
-        from rapidfuzz.distance import OSA
-
-        edits = sum(len(word) >= least for least in letters)
-        if not edits or any(letter.isdigit() for letter in word):
-            return []
-        if self._known is None:
-            found = {known for text in self._texts for known in _WORD.findall(text)}
-            self._known = sorted(known for known in found if not known.isdigit())
-        # words that a misspelt one may have been
-        near = process.extract(word, self._known, scorer=OSA.distance, score_cutoff=edits, limit=3)
-        best = min((distance for _, distance, _ in near), default=0)
-        return [known for known, distance, _ in near if distance == best]
+def find_words(texts: Sequence[str], text: str) -> Mask | None:
+    """Find the texts of clips, normalised by `plain`, that contain every word of a text; None without words."""
+    words = plain(text).split()
+    fits = np.ones(len(texts), bool)
+    for word in words:  # one loop for each word is five times as fast as one over all
+        fits &= np.array([word in known for known in texts], bool)
+    return fits if words else None
 
 
 class Meanings:
@@ -146,18 +94,18 @@ class Meanings:
 
 
 def read_text(
-    words: ClipWords, ids: NDArray[np.int64], text: str, match: Callable[[str], TextMatches | None], *, wide: bool
+    texts: Sequence[str], ids: NDArray[np.int64], text: str, match: Callable[[str], TextMatches | None], *, wide: bool
 ) -> Reading:
-    """Understand a text: by its letters if any clip is called so, else misspelt or by meaning.
+    """Understand a text: by its letters if any clip is called so, else as `Library.match_text` does.
 
     Parameters
     ----------
-    words, ids : of the clips.
+    texts, ids : of the clips.
     text : as it was typed.
-    match : finds clips by what they do, like `Meanings.match`.
+    match : finds clips by what they do, like `Meanings.match`; it also corrects what is misspelt.
     wide : include clips that do what the words say even if others are called so.
     """
-    literal = words.find(text)
+    literal = find_words(texts, text)
     if literal is None:
         return Reading(None)
     matches = match(text)
@@ -169,7 +117,6 @@ def read_text(
         scores[rows[there]] = matches.scores[there]
     if literal.any() and not wide:
         return Reading(literal, more=int(((scores > 0) & ~literal).sum()), pending=matches is None)
-    near, taken_for = (literal, {}) if literal.any() else words.find_misspelt(text)
-    scores[near] = np.maximum(scores[near], 1.0)
+    scores[literal] = np.maximum(scores[literal], 1.0)
     corrected = {} if matches is None else {word: other for word, other in matches.corrections.items() if word != other}
-    return Reading(scores > 0, scores, {**corrected, **taken_for}, pending=matches is None)
+    return Reading(scores > 0, scores, corrected, pending=matches is None)

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.app.player.figures import MINIATURE_BYTES, encode_miniature
-from dousa.app.studio.content.clip_words import ClipWords, Reading, plain, read_text
+from dousa.app.studio.content.clip_words import Reading, plain, read_text
 from dousa.app.studio.content.motions import Address
 from dousa.app.studio.core.answers import say
 from dousa.app.studio.core.workspace import write_file
@@ -116,7 +116,7 @@ class Snapshot:
         self.durations = np.array([clip.duration for clip in clips], np.float64)
         self._rows = {clip.id: row for row, clip in enumerate(clips)}
         self._batches, self._shorts = _shorten([clip.path for clip in clips], f"{uploads}{os.sep}")
-        self._words = ClipWords(self._read_texts(before))
+        self._texts = self._read_texts(before)
         self._names: dict[str, list[str]] = {}
         self._codes: dict[str, NDArray[np.intp]] = {}
         for label in _LABELS:
@@ -152,7 +152,7 @@ class Snapshot:
         masks = {label: self._labelled(label, asked.labels.get(label, ())) for label in _LABELS}
         masks["tag"] = self._tagged(asked.labels.get("tag", ()))
         masks["length"] = self._long(asked.min_s, asked.max_s)
-        reading = read_text(self._words, self.ids, asked.text, match, wide=asked.wide)
+        reading = read_text(self._texts, self.ids, asked.text, match, wide=asked.wide)
         rest = reading.fits
         if asked.among is not None:
             rest = _both(rest, np.isin(self.ids, np.array(sorted(asked.among), np.int64)))

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 Kind = Literal["film", "music"]
 _SUFFIXES = {"film": VIDEOS, "music": SOUNDS}
 _OTHER_KIND = {"film": "studio_evaluation.no_film", "music": "studio_evaluation.no_music"}
-_FILE, _BEATS = "companions.json", "beats.json"
+COMPANIONS, _BEATS = "companions.json", "beats.json"
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class Companions:
         if film is not None:
             found["film"] = film
         with suppress(OSError, ValueError, TypeError):
-            stored = json.loads((self._board.folder(job) / _FILE).read_bytes())
+            stored = json.loads((self._board.folder(job) / COMPANIONS).read_bytes())
             for kind, one in stored.items():
                 if one is None:
                     found.pop(kind, None)
@@ -68,9 +68,9 @@ class Companions:
         folder = self._board.folder(job)
         stored: dict[str, Any] = {}
         with suppress(OSError, ValueError):
-            stored = json.loads((folder / _FILE).read_bytes())
+            stored = json.loads((folder / COMPANIONS).read_bytes())
         stored[kind] = None if companion is None else asdict(companion)
-        write_file(folder / _FILE, json.dumps(stored).encode())
+        write_file(folder / COMPANIONS, json.dumps(stored).encode())
 
     def path(self, job: Job, kind: Kind) -> Path:
         """Return the file of a companion; RefusedError if there is none."""

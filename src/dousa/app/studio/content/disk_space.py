@@ -9,6 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dousa.app.studio.content.companions import COMPANIONS
 from dousa.app.studio.core.answers import RefusedError
 from dousa.app.studio.core.workspace import measure
 from dousa.app.studio.jobs.board import ACTIVE
@@ -84,7 +85,8 @@ def _list_old(studio: Studio, mentioned: str, days: int) -> dict[Path, float]:
 def _list_mentioned(studio: Studio) -> str:
     """Join the names of all batches that a job names or from which a clip comes, including clips that an undo brings
     back."""
-    asked = [json.dumps([job.request for job in studio.jobs.all()]), *studio.mentioned.list()]
+    asked = [json.dumps([job.request for job in studio.jobs.all()])]
+    asked += [path.read_text() for path in (studio.workspace.root / "jobs").glob(f"*/{COMPANIONS}")]
     files = f"{studio.workspace.root / 'files'}{os.sep}"
     paths = [clip.path for clip in studio.listing.now().clips] + studio.library.removed_paths()
     asked += {path.removeprefix(files).partition(os.sep)[0] for path in paths if path.startswith(files)}

@@ -23,7 +23,6 @@ import base64
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -44,21 +43,9 @@ if TYPE_CHECKING:
     from dousa.estimation.tracking.settings import Estimate
 
 
-@dataclass(frozen=True, slots=True)
-class PictureSizes:
-    """The longer sides, px, of pictures that are kept; larger ones show more, and take more of the disk.
-
-    Parameters
-    ----------
-    film : of films, and of what masks were made from.
-    silhouettes : of silhouettes that are fitted, and of what they were made from.
-    """
-
-    film: int = 720
-    silhouettes: int = 480
-
-
-SIZES = PictureSizes()
+FILM_SIDE, MASK_SIDE = 720, 480
+"""The longer sides, px, of kept pictures: of films and of what masks are made from; and of fitted silhouettes and what
+they were made from. Larger ones show more, and take more of the disk."""
 
 SHOWN = np.dtype([("frame", "<i4"), ("size", "<i4"), ("offset", "<i8")])
 
@@ -99,7 +86,7 @@ def write_pictures(film: Path, stride: int, report: Progress) -> None:
         index.truncate(len(known) * SHOWN.itemsize)
         for frame, _, picture in frames.read(skip=n_done):
             if frame % stride == 0:
-                content = encode_jpeg(shrink(picture, SIZES.film)[..., ::-1], 74)
+                content = encode_jpeg(shrink(picture, FILM_SIDE)[..., ::-1], 74)
                 pictures.write(content)
                 pictures.flush()  # first: what the index names is there
                 index.write(np.array([(frame, len(content), n_bytes)], SHOWN).tobytes())

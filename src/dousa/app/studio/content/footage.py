@@ -27,7 +27,15 @@ from numpy.typing import NDArray
 
 from dousa.app.pipelines.estimation_views import Scene
 from dousa.app.player.figures import encode_array
-from dousa.app.studio.content.film_record import SIZES, FilmRecord, encode_jpeg, encode_mask, read_records, shrink
+from dousa.app.studio.content.film_record import (
+    FILM_SIDE,
+    MASK_SIDE,
+    FilmRecord,
+    encode_jpeg,
+    encode_mask,
+    read_records,
+    shrink,
+)
 from dousa.app.studio.core.answers import RefusedError
 from dousa.app.studio.jobs.board import JobBoard, OpenedJobs
 from dousa.arrays import Image, Mask
@@ -152,7 +160,7 @@ class FootageWriter:
         """Write small masks and pictures."""
         # most_bytes: of all pictures of one estimation
         assert self._seen is not None
-        longest = SIZES.silhouettes
+        longest = MASK_SIDE
         if self._seen.n_bytes > most_bytes:
             return
         for view, (mask, picture) in enumerate(zip(masks, pictures, strict=True)):
@@ -412,7 +420,7 @@ class Footage:
 
         if view not in self._painters:
             width, height = self.sizes[view]
-            factor = (SIZES.film if self.film.version else SIZES.silhouettes) / max(width, height)
+            factor = (FILM_SIDE if self.film.version else MASK_SIDE) / max(width, height)
             size = max(8, round(width * factor)), max(8, round(height * factor))
             self._painters[view] = ViewPainter(self._body, self._cameras[view], *size)
         return self._painters[view]

@@ -20,7 +20,7 @@ from dousa.app.studio.content.live import Live
 from dousa.app.studio.content.masks import MaskDesks
 from dousa.app.studio.content.motions import Motions
 from dousa.app.studio.core.answers import Gate
-from dousa.app.studio.core.workspace import MentionedBatches, Settings, Workspace
+from dousa.app.studio.core.workspace import Settings, Workspace
 from dousa.app.studio.jobs.board import JobBoard, Lane
 from dousa.app.studio.jobs.lanes import Reader, answer_question
 from dousa.errors import LibraryError
@@ -96,7 +96,6 @@ class Studio:
         self.live = Live()
         self.learning = Learning()
         self.searching = Gate(4, 12, Message("studio_motions.busy_searching"), patience_s=20.0)
-        self.mentioned = MentionedBatches(self.workspace.root)
         self.figures = Figures()
         self.sharing: Sharing | None = None  # set by `serve` if the studio is shared
 

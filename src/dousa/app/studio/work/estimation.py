@@ -14,7 +14,7 @@ import numpy as np
 from dousa.app.pipelines.doubts import WatchedSilhouettes, parse_frames
 from dousa.app.pipelines.estimation_views import choose_cameras, open_bare_views, open_views, read_known_stature
 from dousa.app.pipelines.projects import complete_request
-from dousa.app.studio.content.film_record import SIZES, encode_jpeg, encode_mask, shrink
+from dousa.app.studio.content.film_record import FILM_SIDE, encode_jpeg, encode_mask, shrink
 from dousa.app.studio.content.footage import MASK, PICTURE, FootageWriter, SeenWriter
 from dousa.app.studio.content.masks import CAMERAS, EXPORTED, MEASURES, SCENE, StoredMasks, export_masks
 from dousa.app.studio.content.motions import Address
@@ -323,6 +323,6 @@ def _write_frames(views: Silhouettes, context: Context) -> Any:
                 if mask is not None:
                     seen.write(frame, view, MASK, encode_mask(mask))
                 if picture is not None:
-                    seen.write(frame, view, PICTURE, encode_jpeg(shrink(picture, SIZES.film), 78))
+                    seen.write(frame, view, PICTURE, encode_jpeg(shrink(picture, FILM_SIDE), 78))
             context.progress(frame + 1, views.n_frames, Message("studio_masks.preparing"))
     return measures
