@@ -149,31 +149,24 @@ def test_codes_are_for_those_who_have_the_token(studio):
     assert studio.get("/library?code=", follow_redirects=False).status_code == 401
 
 
-def test_the_field_takes_the_token(studio):
+def test_the_field_leads_to_the_page_that_was_asked_for(studio):
     del studio.headers["authorization"]
-    assert studio.post("/enter", data={"token": "guess"}).status_code == 401
-    assert studio.post("/enter", data={"token": "x" * 5000}).status_code in (401, 413)
-    answer = studio.post("/enter", data={"token": f" {TOKEN} "}, follow_redirects=False)
-    assert (answer.status_code, answer.headers["location"]) == (303, "/")
+    page = studio.get("/takes?motion=take%3A3&token=guess")
+    assert page.status_code == 401
+    action = html.unescape(re.search(r'action="([^"]+)"', page.text)[1])
+    rest = dict(re.findall(r'type="hidden" name="([^"]+)" value="([^"]*)"', page.text))
+    answer = studio.get(action, params={**rest, "token": f" {TOKEN} "}, follow_redirects=False)
+    assert (answer.status_code, answer.headers["location"]) == (303, "/takes?motion=take%3A3")
     assert studio.get("/library").status_code == 200
 
 
-def test_the_field_leads_to_the_page_that_was_asked_for(studio):
-    del studio.headers["authorization"]
-    page = studio.get("/takes?motion=take%3A3&token=")
-    action = html.unescape(re.search(r'action="([^"]+)"', page.text)[1])
-    again = studio.post(action, data={"token": "guess"})
-    assert again.status_code == 401 and html.unescape(re.search(r'action="([^"]+)"', again.text)[1]) == action
-    answer = studio.post(action, data={"token": TOKEN}, follow_redirects=False)
-    assert answer.headers["location"] == "/takes?motion=take%3A3"
-
-
-@pytest.mark.parametrize(
-    "place", ["//evil.example/x", "/\\evil.example/x", "https://evil.example/x", "\t//evil.example/x"]
-)
+@pytest.mark.parametrize("place", ["//evil.example/x", "/\\evil.example/x", "/\t//evil.example/x"])
 def test_the_field_leads_to_no_other_machine(studio, place):
-    answer = studio.post("/enter", params={"to": place}, data={"token": TOKEN}, follow_redirects=False)
-    assert answer.status_code == 303 and re.match(r"/[^/\\]", answer.headers["location"])
+    del studio.headers["authorization"]
+    for token in ("guess", TOKEN):
+        answer = studio.get(f"http://127.0.0.1:8765{place}", params={"token": token}, follow_redirects=False)
+        found = re.search(r'action="([^"]+)"', answer.text)
+        assert re.match(r"/[^/\\]", found[1] if found else answer.headers["location"])
 
 
 def test_browsers_are_sent_to_the_name_of_this_studio_alone(library_copy):

@@ -18,7 +18,7 @@ from collections import deque
 from collections.abc import Collection, Iterable
 from http.cookies import CookieError, SimpleCookie
 from typing import TYPE_CHECKING
-from urllib.parse import parse_qsl, quote, unquote, urlencode
+from urllib.parse import parse_qsl, quote, urlencode
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import HTMLResponse
@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 
 UPLOAD_PATH = "/api/uploads"
 """The one address whose requests may be large."""
-
-_ENTER = "/enter"  # takes the token from a field
 
 # Scripts come from us and nothing is evaluated. Styles may stand in elements: the bars of the report have widths.
 _POLICY = (
@@ -59,12 +57,12 @@ class RequestGuard:
     Parameters
     ----------
     app : answers requests that are passed on.
-    form_at : address that takes a token from a form; None for no form.
+    asks_token : pages that are refused have a field for the token.
     """
 
-    def __init__(self, app: ASGIApp, form_at: str | None = None) -> None:
+    def __init__(self, app: ASGIApp, *, asks_token: bool = False) -> None:
         self._app = app
-        self._form_at = form_at
+        self._asks_token = asks_token
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a request or pass it on."""
@@ -80,7 +78,7 @@ class RequestGuard:
         try:
             judged = await self.judge(scope, headers, receive)
         except RefusedError as error:
-            await refuse(error, scope, receive, guarded, form_at=self._form_at)
+            await refuse(error, scope, receive, guarded, asks_token=self._asks_token)
             return
         if isinstance(judged, Answer):
             await judged(scope, receive, guarded)
@@ -103,7 +101,7 @@ class Guard(RequestGuard):
     """
 
     def __init__(self, app: ASGIApp, settings: Settings, codes: Codes) -> None:
-        super().__init__(app, form_at=_ENTER)
+        super().__init__(app, asks_token=True)
         self._settings = settings
         self._codes = codes
         self._cookie = f"dousa_{settings.port}"  # cookies do not tell ports apart: each studio has its own
@@ -116,8 +114,6 @@ class Guard(RequestGuard):
             given = dict(asked)
             if "token" in given or "code" in given:
                 return self._welcome(scope["path"], asked, headers)
-        if (scope["method"], scope["path"]) == ("POST", _ENTER):
-            return await self._enter(receive, _wanted_place(scope))
         if not self._knows_token(headers):
             raise RefusedError(401, "studio.no_token")
         most = self._limit(scope["path"])
@@ -148,7 +144,7 @@ class Guard(RequestGuard):
         answer = Answer(None, 303)
         place = _own_place(path)
         if "token" in given:
-            if not self._is_token(given["token"]):
+            if not self._is_token(given["token"].strip()):
                 raise RefusedError(401, "studio.other_token")
             self._let_in(answer)
         elif self._codes.redeem(given["code"]):
@@ -163,21 +159,6 @@ class Guard(RequestGuard):
         answer.headers["location"] = place + (f"?{urlencode(rest)}" if rest else "")
         return answer
 
-    async def _enter(self, receive: Receive, place: str) -> Answer:
-        """Check the token of the form, and lead to the page that was asked for."""
-        content = b""
-        counting, more = CountingReceive(receive, 2_000), True  # bytes
-        while more:
-            message = await counting()
-            content += message.get("body", b"")
-            more = message["type"] == "http.request" and message.get("more_body", False)
-        if not self._is_token(dict(parse_qsl(content.decode("latin-1"))).get("token", "").strip()):
-            raise RefusedError(401, "studio.other_token")
-        answer = Answer(None, 303)
-        answer.headers["location"] = place
-        self._let_in(answer)
-        return answer
-
     def _let_in(self, answer: Answer) -> None:
         answer.set_cookie(self._cookie, self._settings.token, httponly=True, samesite="lax", path="/")
 
@@ -186,18 +167,6 @@ def _own_place(path: str) -> str:
     """Quote a path of this studio: "//evil.example" and, to browsers, "/\\evil.example" are other machines."""
     # Browsers leave out tabs and line ends between the slashes, so they are quoted.
     return "/" + quote(path.lstrip("/\\"), errors="replace")
-
-
-def _wanted_place(scope: Scope) -> str:
-    """Return the address to which the form leads: the one asked for, without secrets."""
-    asked = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
-    if scope["path"] == _ENTER:
-        path, _, query = dict(asked).get("to", "").partition("?")
-        path, asked = unquote(path), parse_qsl(query, keep_blank_values=True)
-    else:
-        path = scope["path"]
-    rest = urlencode([(name, value) for name, value in asked if name not in ("token", "code")])
-    return _own_place(path) + (f"?{rest}" if rest else "")
 
 
 def check_names(method: str, headers: Headers, scheme: str, hosts: Collection[str]) -> None:
@@ -290,31 +259,29 @@ def read_cookies(lines: Iterable[str], name: str) -> list[str]:
     return values
 
 
-async def refuse(
-    error: RefusedError, scope: Scope, receive: Receive, send: Send, *, form_at: str | None = None
-) -> None:
-    """Refuse a request: a page for browsers, with a form that leads to ``form_at``, and JSON for others."""
+async def refuse(error: RefusedError, scope: Scope, receive: Receive, send: Send, *, asks_token: bool = False) -> None:
+    """Refuse a request: a page for browsers, with a field that adds the token to its address, and JSON for others."""
     # Further data of strangers is not read.
     headers = {"connection": "close"} if error.status in (401, 403, 421) else None
-    is_page = scope["method"] == "GET" and not scope["path"].startswith(("/api/", "/static/"))
-    if not is_page and scope["path"] != form_at:
+    if scope["method"] != "GET" or scope["path"].startswith(("/api/", "/static/")):
         await Answer(to_answer(error.message), error.status, headers)(scope, receive, send)
         return
-    # The form needs a referrer, else its origin would be "null".
-    headers = {**(headers or {}), "referrer-policy": "same-origin"}
+    asked = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
+    kept = [(html.escape(name), html.escape(value)) for name, value in asked if name not in ("token", "code")]
     form = _FORM.format(
-        action=html.escape(f"{form_at}?{urlencode({'to': _wanted_place(scope)})}"),
+        action=html.escape(_own_place(scope["path"])),
+        rest="".join(f'<input type="hidden" name="{name}" value="{value}">' for name, value in kept),
         field=html.escape(say(_Words("studio.token_field"))),
         go=html.escape(say(_Words("studio.token_go"))),
     )
     text = _CLOSED.format(
         language=get_language(), status=error.status, problem=html.escape(say(error.message)),
-        form=form if error.status == 401 and form_at else "",
+        form=form if error.status == 401 and asks_token else "",
     )  # fmt: skip
     await HTMLResponse(text, error.status, headers)(scope, receive, send)
 
 
-_FORM = """<form method="post" action="{action}"><label style="display:block">{field}<br>
+_FORM = """<form action="{action}">{rest}<label style="display:block">{field}<br>
 <input name="token" type="password" autocomplete="off" required autofocus
  style="font:inherit;width:100%;box-sizing:border-box;margin:.3rem 0 .8rem;padding:.4rem"></label>
 <button style="font:inherit;padding:.4rem 1rem">{go}</button></form>"""
