@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import mimetypes
-import shlex
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -210,7 +209,6 @@ class Operation:
     ----------
     tag, method, path, summary, description : of OpenAPI.
     fields : (name, type, whether required, description) of query and body.
-    call : a line for the shell; ``$URL`` and ``$TOKEN`` stand for address and token.
     """
 
     tag: str
@@ -219,7 +217,6 @@ class Operation:
     summary: str
     description: str
     fields: tuple[tuple[str, str, bool, str], ...]
-    call: str
 
 
 def describe_interface(openapi: Mapping[str, Any]) -> dict[str, list[Operation]]:
@@ -239,8 +236,8 @@ def _describe(path: str, method: str, said: Mapping[str, Any], schemas: Mapping[
         for one in said.get("parameters", ())
     ]
     content = said.get("requestBody", {}).get("content", {})
-    body = content.get("application/json", {}).get("schema")
-    schema = {} if body is None else _follow(body, schemas)
+    body = content.get("application/json", {}).get("schema", {})
+    schema = schemas[body["$ref"].rpartition("/")[2]] if "$ref" in body else body
     needed = schema.get("required", ())
     fields += [(name, _type(one), name in needed, _words(one)) for name, one in schema.get("properties", {}).items()]
     return Operation(
@@ -250,12 +247,7 @@ def _describe(path: str, method: str, said: Mapping[str, Any], schemas: Mapping[
         summary=said.get("summary", ""),
         description=said.get("description", ""),
         fields=tuple(fields),
-        call=_call(path, method, said, schema, schemas, is_file="application/octet-stream" in content),
     )
-
-
-def _follow(schema: Mapping[str, Any], schemas: Mapping[str, Any]) -> Mapping[str, Any]:
-    return schemas[schema["$ref"].rpartition("/")[2]] if "$ref" in schema else schema
 
 
 def _type(schema: Mapping[str, Any]) -> str:
@@ -272,55 +264,3 @@ def _type(schema: Mapping[str, Any]) -> str:
 
 def _words(*places: Mapping[str, Any]) -> str:
     return next((str(place["description"]) for place in places if place.get("description")), "")
-
-
-def _call(
-    path: str,
-    method: str,
-    said: Mapping[str, Any],
-    schema: Mapping[str, Any],
-    schemas: Mapping[str, Any],
-    *,
-    is_file: bool,
-) -> str:
-    query = "&".join(
-        f"{one['name']}={_example(one['schema'], schemas, one['name'])}"
-        for one in said.get("parameters", ())
-        if one["in"] == "query" and one.get("required")
-    )
-    for one in said.get("parameters", ()):
-        if one["in"] == "path":
-            path = path.replace(f"{{{one['name']}}}", one["name"].upper())
-    words = ['curl -H "Authorization: Bearer $TOKEN"']
-    if method not in ("GET", "POST") or (method == "POST" and not schema and not is_file):
-        words.append(f"-X {method}")
-    if is_file:
-        words.append("--data-binary @walk.bvh")
-    if schema:
-        body = {
-            name: _example(one, schemas, name)
-            for name, one in schema.get("properties", {}).items()
-            if name in schema.get("required", ())
-        }
-        words.append(f"--json {shlex.quote(json.dumps(body))}")
-    words.append(f'"$URL{path}{"?" + query if query else ""}"')
-    return " ".join(words)
-
-
-def _example(schema: Mapping[str, Any], schemas: Mapping[str, Any], name: str = "") -> Any:
-    named: dict[str, Any] = {"name": "kick/walk.bvh", "clips": [1, 2], "batch": "BATCH", "category": "kick"}
-    named |= {"start_s": 1.5, "end_s": 2.5}
-    schema = _follow(schema, schemas)
-    known = [*schema.get("examples", ()), *([named[name]] if name in named else ())]
-    known += [*([schema["default"]] if "default" in schema else ()), *schema.get("enum", ())]
-    if known:
-        return known[0]
-    if "anyOf" in schema:
-        return _example(schema["anyOf"][0], schemas, name)
-    if schema.get("type") == "object":
-        needed = schema.get("required", ())
-        parts = schema.get("properties", {}).items()
-        return {key: _example(one, schemas, key) for key, one in parts if key in needed}
-    if schema.get("type") == "array":
-        return [_example(schema.get("items", {}), schemas, name)]
-    return {"integer": 1, "number": 1.0, "boolean": True}.get(str(schema.get("type")), name.upper())
