@@ -6,6 +6,7 @@ import pytest
 from app.studio.live_people import record_landmarks, replay
 from dousa.app.studio.content import live
 from dousa.errors import KeypointError
+from dousa.estimation.keypoints.people import SIGHTING
 from patience import PATIENCE
 
 cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed: pip install 'dousa[film]'")
@@ -123,3 +124,43 @@ def test_without_a_model_that_is_installed_none_is_chosen(monkeypatch, tmp_path)
     monkeypatch.setenv("DOUSA_MODELS", str(tmp_path))
     with pytest.raises(KeypointError):
         live.choose_model()
+
+
+def sighting(stretch, x, size):
+    row = np.zeros(1, SIGHTING)
+    row["stretch"], row["crop"] = stretch, (x, 100.0, size, 0.0)
+    return row
+
+
+def test_who_is_followed_stays_so_though_another_is_nearer_or_larger():
+    left, right = sighting(0, 100.0, 80.0), sighting(1, 300.0, 120.0)
+    first = live.choose_person(np.concatenate([left, right]), None)
+    assert first["stretch"] == 1  # who looks largest
+    passing = np.concatenate([sighting(2, 290.0, 200.0), sighting(1, 340.0, 110.0)])
+    assert live.choose_person(passing, first)["stretch"] == 1
+    found_again = np.concatenate([sighting(3, 310.0, 120.0), left])
+    assert live.choose_person(found_again, first)["stretch"] == 3
+
+
+@pytest.mark.parametrize(("seconds", "models"), [(0.0, ["full"]), (0.2, ["full", "lite"])])
+def test_a_model_that_does_not_keep_up_gives_way_to_the_quickest(monkeypatch, seconds, models):
+    clock, opened = [0.0], []
+
+    class Follower:
+        def __init__(self, detector, landmarks, most):
+            opened.append(landmarks)
+
+        def see(self, frame, picture):
+            clock[0] += seconds if len(opened) == 1 else 0.01
+            return sighting(0, 100.0, 80.0)
+
+    monkeypatch.setattr(live, "choose_model", lambda: "full")
+    monkeypatch.setattr(live.time, "perf_counter", lambda: clock[0])
+    monkeypatch.setattr("dousa.estimation.keypoints.people.PeopleFollower", Follower)
+    monkeypatch.setattr("dousa.estimation.keypoints.pose_networks.PersonDetector", lambda threads: None)
+    monkeypatch.setattr("dousa.estimation.keypoints.pose_networks.LandmarkNetwork", lambda model, threads: model)
+    monkeypatch.setattr("dousa.estimation.keypoints.pose_models.check_pose_model", lambda model: "installed")
+    find = live.open_finder()
+    for _ in range(40):
+        assert find(np.zeros((4, 4, 3), np.uint8)) is not None
+    assert opened == models

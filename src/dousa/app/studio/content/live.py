@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dousa.app.studio.core.answers import RefusedError, name_error
 from dousa.arrays import FloatArray, Image
@@ -29,7 +30,8 @@ if TYPE_CHECKING:
     from dousa.motion import CanonicalMotion
     from dousa.retrieval import LiveLabeller
 
-_MODELS: tuple[LandmarkModel, ...] = ("full", "lite", "heavy")  # those that keep up first
+QUICKEST: LandmarkModel = "lite"
+_MODELS: tuple[LandmarkModel, ...] = ("full", QUICKEST, "heavy")  # those that keep up first
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,7 +55,7 @@ Finder = Callable[[Image], Seen | None]
 
 
 def choose_model() -> LandmarkModel:
-    """Choose the fastest installed model that is good enough.
+    """Choose the installed model to begin with; `PersonFinder` takes the quickest where that does not keep up.
 
     Raises KeypointError if no model is installed, MissingExtraError without LiteRT or OpenCV.
     """
@@ -68,26 +70,76 @@ def choose_model() -> LandmarkModel:
     return chosen
 
 
-def open_finder() -> Finder:
-    """Make a function that follows the person of whom the detector is surest; errors as `choose_model`."""
-    from dousa.estimation.keypoints.people import PeopleFollower
-    from dousa.estimation.keypoints.pose_networks import LandmarkNetwork, PersonDetector
+def choose_person(rows: NDArray[np.void], last: np.void | None) -> np.void:
+    """Choose the person to follow among those in a picture (P,) of `SIGHTING`.
 
-    model = choose_model()
-    follower = PeopleFollower(PersonDetector(None), LandmarkNetwork(model, None), 1)
-    n_seen = 0
+    That is who was followed in the ``last`` picture, or else who is nearest to there; at first who looks largest.
+    """
+    if last is None:
+        place = int(rows["crop"][:, 2].argmax())
+    else:
+        away = np.hypot(*(rows["crop"][:, :2] - last["crop"][:2]).T)
+        place = int(np.where(rows["stretch"] == last["stretch"], -1.0, away).argmin())
+    chosen: np.void = rows[place]
+    return chosen
 
-    def find(picture: Image) -> Seen | None:
-        nonlocal n_seen
-        rows = follower.see(n_seen, picture)
-        n_seen += 1
+
+class PersonFinder:
+    """Finds one person in pictures that come in turn, though another may walk past; errors as `choose_model`.
+
+    Parameters
+    ----------
+    rate : pictures a second below which the quickest model takes over, if it is installed; a slower one trails behind
+        what is done.
+    looks : pictures of which the median time counts.
+    lost_for : pictures without anybody after which whoever looks largest is followed.
+    """
+
+    def __init__(self, *, rate: float = 12.0, looks: int = 12, lost_for: int = 20) -> None:
+        self._model = choose_model()
+        self._most_s, self._looks, self._lost_for = 1.0 / rate, looks, lost_for
+        self._took: list[float] = []
+        self._last: np.void | None = None
+        self._n_seen = self._n_lost = 0
+        self._open()
+
+    def _open(self) -> None:
+        from dousa.estimation.keypoints.people import PeopleFollower
+        from dousa.estimation.keypoints.pose_networks import LandmarkNetwork, PersonDetector
+
+        # A second person is followed too, as the crop of the only one would slide to whoever walks past.
+        self._follower = PeopleFollower(PersonDetector(None), LandmarkNetwork(self._model, None), 2)
+
+    def __call__(self, picture: Image) -> Seen | None:
+        """Find the person in the next picture (H, W, 3) red, green, blue; None if there is nobody."""
+        begun = time.perf_counter()
+        rows = self._follower.see(self._n_seen, picture)
+        self._n_seen += 1
+        self._took = [*self._took[-self._looks + 1 :], time.perf_counter() - begun]
+        if len(self._took) == self._looks and np.median(self._took) > self._most_s and self._model != QUICKEST:
+            self._hurry()
         if not len(rows):
+            self._n_lost += 1
+            if self._n_lost > self._lost_for:
+                self._last = None
             return None
-        row = rows[0]
+        self._n_lost, self._last = 0, choose_person(rows, self._last)
+        row = self._last
         sure = np.clip(np.asarray(row["visibility"], np.float64), 0.0, 1.0)
         return Seen(np.asarray(row["points"], np.float64), sure, np.asarray(row["world"], np.float64))
 
-    return find
+    def _hurry(self) -> None:
+        from dousa.estimation.keypoints.pose_models import check_pose_model, get_pose_model
+
+        self._took = []
+        if check_pose_model(get_pose_model(QUICKEST)) == "installed":
+            self._model, self._n_seen = QUICKEST, 0
+            self._open()
+
+
+def open_finder() -> Finder:
+    """Open a finder of one person; errors as `choose_model`."""
+    return PersonFinder()
 
 
 def to_canonical(seen: Seen, size: tuple[int, int]) -> FloatArray:

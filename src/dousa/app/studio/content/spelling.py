@@ -19,7 +19,7 @@ from dousa.app.studio.content.corrections import list_examples
 from dousa.app.studio.content.evaluations import format_weights
 from dousa.app.studio.content.motions import MotionRef
 from dousa.app.studio.core.answers import say
-from dousa.app.studio.core.workspace import write_file
+from dousa.app.studio.core.workspace import SPELLED, write_file
 from dousa.library.export import ExportFormat
 from dousa.messages import Message
 
@@ -190,6 +190,6 @@ def _write(studio: Studio, name: str, text: str) -> Path:
 
 
 def _folder(studio: Studio) -> Path:
-    folder = studio.workspace.root / "spelled"
+    folder = studio.workspace.root / SPELLED
     folder.mkdir(mode=0o700, exist_ok=True)
     return folder

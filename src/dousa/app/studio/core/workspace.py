@@ -160,6 +160,9 @@ class Settings:
         return f"http://{self.host}:{self.port}"
 
 
+SPELLED = "spelled"
+"""Folder of files that commands to copy name: parts of motions, figures, weights."""
+
 _BATCH = re.compile(r"[0-9a-f]{16}")
 _ALIAS = re.compile(r"dousa-[0-9a-f]{16}\.localhost")
 _DEEPEST, _LONGEST, _LONGEST_PATH = 12, 200, 1_000  # folders; bytes of a name; bytes of all
@@ -408,8 +411,12 @@ class Workspace:
         return found
 
     def _clear_stale(self, *, stale_s: float = 7 * 86_400.0) -> None:
-        # stale_s: after which other batches are cleared away when a studio starts
+        # stale_s: after which other batches, and files of commands to copy, are cleared away when a studio starts
         remove_left_overs(self.root)
+        for path in (self.root / SPELLED).glob("*"):
+            with suppress(OSError):
+                if time.time() - path.stat().st_mtime > stale_s:
+                    path.unlink()
         for folder, age, used in self._list_batches(""):
             if used is None and age > stale_s:
                 shutil.rmtree(folder, ignore_errors=True)
