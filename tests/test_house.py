@@ -18,7 +18,7 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (26_070, 116),
+    "app": (25_326, 116),
     "estimation": (16_473, 69),
     "evaluation": (12_109, 46),
     "experiments": (1_699, 8),
@@ -31,17 +31,17 @@ ROOMS = {
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 62_378,
+    "lines of tests": 62_273,
     "lines of JavaScript": 12_544,
-    "constants": 1_064,
+    "constants": 1_051,
     "numeric constants without a source": 5,
     "functions over 60 lines": 14,
     "files over 650 lines": 0,
     "folders with more than 15 files": 0,
-    "lines with words that a native reader stumbles over": 57,
+    "lines with words that a native reader stumbles over": 61,
     "hand-written runs of a mask": 3,
     "commands": 32,
-    "options": 194,
+    "options": 193,
 }
 
 _LONG_FUNCTION, _LONG_FILE, _LARGE_FOLDER = 60, 650, 15

@@ -160,7 +160,7 @@ def test_the_field_leads_to_the_page_that_was_asked_for(studio):
     assert studio.get("/library").status_code == 200
 
 
-@pytest.mark.parametrize("place", ["//evil.example/x", "/\\evil.example/x", "/\t//evil.example/x"])
+@pytest.mark.parametrize("place", ["//evil.example/x", "/\\evil.example/x", "/%09//evil.example/x"])
 def test_the_field_leads_to_no_other_machine(studio, place):
     del studio.headers["authorization"]
     for token in ("guess", TOKEN):
