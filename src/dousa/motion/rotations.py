@@ -204,12 +204,19 @@ def between(start: ArrayLike, end: ArrayLike) -> FloatArray:
     """
     u, v = np.broadcast_arrays(*(_directions(x) for x in (start, end)))
     scalar = 1.0 + (u * v).sum(-1)
-    q = np.concatenate((scalar[..., None], np.cross(u, v)), axis=-1)
+    q = np.concatenate((scalar[..., None], cross(u, v)), axis=-1)
     helper = np.eye(3)[np.argmin(np.abs(np.nan_to_num(u)), axis=-1)]
-    across = np.concatenate((np.zeros((*u.shape[:-1], 1)), np.cross(u, helper)), axis=-1)
+    across = np.concatenate((np.zeros((*u.shape[:-1], 1)), cross(u, helper)), axis=-1)
     q = np.where((scalar < 1e-14)[..., None], across, q)  # opposite, so that the axis is undefined
     directed = (u != 0).any(-1) & (v != 0).any(-1)
     return normalise(np.where(directed[..., None], q, identity()))
+
+
+def cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Compute ``np.cross`` of vectors (..., 3), which takes a few of them eight times as long."""
+    x, y, z = a[..., 0], a[..., 1], a[..., 2]
+    u, v, w = b[..., 0], b[..., 1], b[..., 2]
+    return np.stack((y * w - z * v, z * u - x * w, x * v - y * u), axis=-1)
 
 
 def _directions(vectors: ArrayLike) -> FloatArray:

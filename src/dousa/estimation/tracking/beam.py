@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -82,8 +82,8 @@ class Beam:
         """Take the first frame, whose pose is the start."""
         self._pending.append((self._tracks, frame))
 
-    def step(self, frame: Frame) -> None:
-        """Follow the poses into the next frame."""
+    def step(self, frame: Frame, beside: Callable[[], None] = lambda: None) -> None:
+        """Follow the poses into the next frame; ``beside`` gives the threads more to do while some would wait."""
         settings = self.setup.settings
         if not frame.seen.any():
             self._tracks = [self._coast(number, track) for number, track in enumerate(self._tracks)]
@@ -96,7 +96,7 @@ class Beam:
             new = all(np.abs(found[2][7:] - other[2][7:]).max(initial=0.0) > self._apart for other in kept)
             if not kept or (new and len(kept) < self.setup.beam):
                 kept.append(found)
-        revisited = self._map(self._revisit, [(*found, frame) for found in kept])
+        revisited = self._map(self._revisit, [(*found, frame) for found in kept], beside)
         tracks = sorted(revisited, key=lambda track: -track.score)
         best = tracks[0].score
         self._tracks = [track._replace(score=track.score - best) for track in tracks]
@@ -148,8 +148,10 @@ class Beam:
         if self._pending:
             self._tracks = self._pending[-1][0]
 
-    def _map(self, work: Any, tasks: list[Any]) -> list[Any]:
-        return list(self.pool.map(work, tasks) if self.pool is not None else map(work, tasks))
+    def _map(self, work: Any, tasks: list[Any], beside: Callable[[], None] = lambda: None) -> list[Any]:
+        done = self.pool.map(work, tasks) if self.pool is not None else map(work, tasks)
+        beside()
+        return list(done)
 
     def _predict(self, track: _Track, damping: float) -> FloatArray:
         predicted = step_poses(track.pose, damping * track.velocity)

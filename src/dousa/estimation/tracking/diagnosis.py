@@ -145,6 +145,7 @@ class Diagnosis:
         self.setup, self.pool, self._every = setup, pool, every
         self._area, self._steps, self._meet = max(area, 1.0), measure_rim(area), meet
         self._notes: list[Note | Future[Note]] = []
+        self._given: list[tuple[FloatArray, Frame, bool]] = []
 
     def cover(self, pose: FloatArray, frame: Frame) -> tuple[float, float]:
         """Return mean overlap, and share of the silhouettes that no part covers, of the views that see a person.
@@ -168,15 +169,24 @@ class Diagnosis:
     @property
     def latest(self) -> Note:
         """The note of the last pose."""
+        self.start()
         return _await(self._notes[-1])
 
     def write(self, pose: FloatArray, frame: Frame) -> None:
-        """Add the note of a settled pose."""
-        given = (pose, frame, len(self._notes) % self._every == 0)
-        self._notes.append(self.look(*given) if self.pool is None else self.pool.submit(self.look, *given))
+        """Add the note of a settled pose, with threads when they are told to ``start``."""
+        self._given.append((pose, frame, (len(self._notes) + len(self._given)) % self._every == 0))
+        if self.pool is None:
+            self.start()
+
+    def start(self) -> None:
+        """Start the notes of the poses written since the last start."""
+        for given in self._given:
+            self._notes.append(self.look(*given) if self.pool is None else self.pool.submit(self.look, *given))
+        self._given.clear()
 
     def finish(self) -> None:
         """Wait for the notes in progress."""
+        self.start()
         self._notes = [_await(note) for note in self._notes]
 
     def is_lost(self, pose: FloatArray, note: Note) -> bool:

@@ -149,10 +149,15 @@ class SearchSetup:
         frame: Frame,
         scratch: tuple[Any, ...],
         half: int | None = None,
+        order: NDArray[np.intp] | None = None,
     ) -> float:
-        """Run one pass over the parts in `order`, in place, and return the log score; see `search_kernels.sweep`."""
+        """Run one pass over the parts in ``order``, by default all, in place, and return the log score.
+
+        See `search_kernels.sweep`.
+        """
         reach, views = (factor, half or self.half, self.settings.thinning), self.views(frame)
-        order = self.order if factor else self.order[:0]
+        order = self.order if order is None else order
+        order = order if factor else order[:0]
         fixed = (self.weights, self.bounds, self.model, views, scratch)
         return float(sweep(pose, shift, order, self.whole, reach, *fixed, np.zeros((0, 2))))
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from functools import lru_cache
+from concurrent.futures import Executor
+from functools import lru_cache, partial
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -258,11 +259,12 @@ class StartSearch:
     n_headings : in which templates are laid onto the silhouettes.
     n_kept : poses kept after the first, the second and every later step.
     apart : statures; poses whose joints are nearer than this in the mean are one.
+    pool : threads that try poses side by side; the result does not depend on them.
     """
 
     def __init__(
         self, setup: SearchSetup, frame: Frame, outlines: Sequence[Outline | None] = (), *, n_headings: int = 16,
-        n_kept: tuple[int, int, int] = (20, 8, 4), apart: float = 0.03,
+        n_kept: tuple[int, int, int] = (20, 8, 4), apart: float = 0.03, pool: Executor | None = None,
     ) -> None:  # fmt: skip
         self.n_headings, self.n_kept, self.apart = n_headings, n_kept, apart
         self.body, self.cameras = setup.body, setup.cameras
@@ -272,7 +274,7 @@ class StartSearch:
         stiffness = max(given.stiffness, usual.stiffness)
         own = dataclasses.replace(usual, inertia=0.0, stiffness=stiffness)
         self.setup = SearchSetup(self.body, self.cameras, own, 30.0, area)
-        self.scratch = self.setup.make_scratch()
+        self.map = map if pool is None else pool.map
         if outlines:
             self.rims = self.setup.find_rims(frame)
         self.limbs = find_limbs(self.body)
@@ -302,18 +304,21 @@ class StartSearch:
 
     def look_again(self, pose: FloatArray, count: int = 3) -> FloatArray:
         """Return the pose with limbs exchanged, or set to one of ``count`` templates each, where that fits better."""
-        pairs = find_pairs(self.body)
-        tried = [exchange_pair(self.body, pose, pair) for pair in pairs]
-        for other, pair in zip(tried, pairs, strict=True):
-            self.sweep_parts(other, pair.parts, (1.0, 0.5))
-        _, best = max((self.refine(other, (0.5,)) for other in (pose, *tried)), key=lambda found: found[0])
+
+        def try_pair(pair: LimbPair | None) -> Scored:
+            other = pose if pair is None else exchange_pair(self.body, pose, pair)
+            if pair is not None:
+                self.sweep_parts(other, pair.parts, (1.0, 0.5))
+            return self.refine(other, (0.5,))
+
+        _, best = max(self.map(try_pair, (None, *find_pairs(self.body))), key=lambda found: found[0])
         return self.refine(self._exchange_limbs(best, count=count), (0.5,))[1]
 
     def score(self, pose: FloatArray) -> float:
         """Compute the log score, `SearchSetup.compare` where a person is looked for, else with ease and all pixels."""
         if self.outlines:
-            return self.setup.compare(pose, self.frame, self.rims, self.scratch)
-        return self.setup.score(pose, np.zeros(self.setup.n_axes), self.frame, self.scratch)
+            return self.setup.compare(pose, self.frame, self.rims, self.setup.own_scratch())
+        return self.setup.score(pose, np.zeros(self.setup.n_axes), self.frame, self.setup.own_scratch())
 
     def refine(self, pose: FloatArray, factors: Sequence[float]) -> Scored:
         """Return score and pose after sweeps of these widths, in dR."""
@@ -346,8 +351,9 @@ class StartSearch:
             shares.append(float(both) / max(float(either), 1.0))
         return float(np.mean(shares))
 
-    def _sweep(self, pose: FloatArray, factor: float) -> None:
-        self.setup.sweep(pose, np.zeros(self.setup.n_axes), factor, self.frame, self.scratch)
+    def _sweep(self, pose: FloatArray, factor: float, order: IndexArray | None = None) -> None:
+        shift, scratch = np.zeros(self.setup.n_axes), self.setup.own_scratch()
+        self.setup.sweep(pose, shift, factor, self.frame, scratch, order=order)
 
     def _list_candidates(self, near: FloatArray | None) -> FloatArray:
         """Return templates (N, 7 + A) in all headings, moved onto the silhouettes."""
@@ -360,10 +366,8 @@ class StartSearch:
 
     def sweep_parts(self, pose: FloatArray, parts: IndexArray, widths: Sequence[float]) -> None:
         """Run sweeps of these widths (dR) over some parts, in place."""
-        whole, self.setup.order = self.setup.order, parts
         for factor in widths:
-            self._sweep(pose, factor)
-        self.setup.order = whole
+            self._sweep(pose, factor, parts)
 
     def _exchange_limbs(
         self, pose: FloatArray, widths: Sequence[float] = (1.5, 0.75, 0.4), count: int = 5
@@ -371,19 +375,21 @@ class StartSearch:
         """Set each limb to its best template after sweeps of these ``widths`` (dR), where that improves the score."""
         pose, templates = pose.copy(), list_templates(self.body)
         for limb, parts in self.limbs:
-            best, kept = self.score(pose), pose[limb].copy()
             scores = np.empty(len(templates))
             for number, template in enumerate(templates):
-                pose[limb] = template[limb]
-                scores[number] = self.score(pose)
-            for number in _pick_limbs(templates[:, limb], scores, count):
-                pose[limb] = templates[number, limb]
-                self.sweep_parts(pose, parts, widths)
-                score = self.score(pose)
-                if score > best:
-                    best, kept = score, pose[limb].copy()
-            pose[limb] = kept
+                trial = pose.copy()
+                trial[limb] = template[limb]
+                scores[number] = self.score(trial)
+            chosen = _pick_limbs(templates[:, limb], scores, count)
+            starts = np.tile(pose, (len(chosen), 1))
+            starts[:, limb] = templates[chosen][:, limb]
+            tried = self.map(partial(self._refine_limb, parts, widths), starts)
+            _, pose = max(((self.score(pose), pose), *tried), key=lambda found: found[0])
         return pose
+
+    def _refine_limb(self, parts: IndexArray, widths: Sequence[float], pose: FloatArray) -> Scored:
+        self.sweep_parts(pose, parts, widths)
+        return self.score(pose), pose
 
     def _list_twins(self, pose: FloatArray, level: float = 0.1) -> list[FloatArray]:
         """Return mirror twins; none if the camera is hardly ``level`` and thus cannot distinguish front and back."""

@@ -281,7 +281,7 @@ class _Job:
         self.began = max(self.began, self.at)
         while self.at < n_frames:
             frame = self._read()
-            self.beam.step(frame)
+            self.beam.step(frame, self.diagnosis.start)
             self._watch(frame)
             self._show_newest(frame)
             for settled in self.beam.settle(self.settings.lag):
@@ -329,7 +329,7 @@ class _Job:
 
     def _look_again(self, frame: Frame) -> None:
         """Try the limbs of the best pose exchanged and elsewhere."""
-        found = StartSearch(self.setup, frame).look_again(self.beam.best)
+        found = StartSearch(self.setup, frame, pool=self.beam.pool).look_again(self.beam.best)
         self._repair(frame, found, sure=False)
 
     def _repair(self, frame: Frame, found: FloatArray, *, sure: bool) -> bool:
