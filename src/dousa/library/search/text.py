@@ -298,9 +298,9 @@ def _read_stamps(connection: sa.Connection) -> dict[int, tuple[Any, ...]]:
     """Read the checksums of the labels and relations (None without) of all motions, by number."""
     clips, table = schema.clips.c, schema.clip_relations.c
     own = sa.select(table.clip_id, table.checksum).where(table.version == RELATIONS_VERSION)
-    relations: dict[int, Any] = {row.clip_id: row.checksum for row in connection.execute(own)}
-    labels = connection.execute(sa.select(clips.id, clips.label_checksum))
-    return {row.id: (row.label_checksum, relations.get(row.id)) for row in labels}
+    relations: dict[int, Any] = dict(connection.execute(own).tuples().all())
+    labels = connection.execute(sa.select(clips.id, clips.label_checksum)).tuples()
+    return {number: (label, relations.get(number)) for number, label in labels}
 
 
 def _name_of(path: str) -> str:
