@@ -99,7 +99,7 @@ def train_forest(
     database.check_writable()  # before the work
     with database.reading() as connection:
         kind, n_partial = _choose_joints(database.where, connection, kind)  # before the work
-    keep_features(database, kind.name, n_jobs, tell.of_clips, partial(keep_relations_of, database))
+    keep_features(database, kind.name, n_jobs, tell.of_clips, partial(keep_relations_of, database, n_jobs=n_jobs))
     stored, answers, counts = _learn(database, forest, kind, n_jobs, tell)
     tell(3, Message("library_training.labeller"))
     with database.reading() as connection:

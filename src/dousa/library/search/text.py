@@ -298,8 +298,8 @@ def _read_stamps(connection: sa.Connection) -> dict[int, tuple[Any, ...]]:
     """Read the checksums of the labels and relations (None without) of all motions, by number."""
     clips, table = schema.clips.c, schema.clip_relations.c
     own = sa.select(table.clip_id, table.checksum).where(table.version == RELATIONS_VERSION)
-    relations: dict[int, Any] = dict(connection.execute(own).tuples().all())
-    labels = connection.execute(sa.select(clips.id, clips.label_checksum)).tuples()
+    relations: dict[int, Any] = dict(connection.execute(own).all())
+    labels = connection.execute(sa.select(clips.id, clips.label_checksum))
     return {number: (label, relations.get(number)) for number, label in labels}
 
 

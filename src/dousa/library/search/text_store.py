@@ -10,11 +10,12 @@ import sqlalchemy as sa
 from dousa.errors import LibraryDamagedError
 from dousa.library.store import schema
 from dousa.library.store.checksums import RELATIONS
-from dousa.library.store.engine import Database
+from dousa.library.store.engine import Database, choose_jobs
 from dousa.library.store.features import StoredMotion, load_motions
 from dousa.library.store.rows import delete_rows, fetch_in, fetch_rows, insert_rows, portions
 from dousa.retrieval.words.relations import RELATIONS_VERSION, Relation, find_relations
 from dousa.retrieval.words.vocabulary import load_vocabulary, read_words
+from dousa.workers.threads import map_pieces
 
 _KINDS = ("action", "side", "direction")
 
@@ -78,11 +79,12 @@ def keep_all_relations(database: Database) -> None:
             _write(connection, _list_missing(connection, some))
 
 
-def keep_relations_of(database: Database, motions: Mapping[int, StoredMotion]) -> None:
-    """Compute and write the missing relations of some clips and takes."""
+def keep_relations_of(database: Database, motions: Mapping[int, StoredMotion], n_jobs: int | None = 1) -> None:
+    """Compute, ``n_jobs`` at a time, and write the missing relations of some clips and takes."""
     with database.reading() as connection:
         missing = _list_missing(connection, list(motions))
-    described = {number: describe_relations(motions[number]) for number in missing}
+    found = map_pieces(describe_relations, [motions[number] for number in missing], choose_jobs(n_jobs))
+    described = dict(zip(missing, found, strict=True))
     if described:
         with database.writing() as connection:
             still = _list_missing(connection, missing)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextvars import copy_context
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -413,21 +416,39 @@ def keep_features(
             return
         rows = _read_rows(connection, None, feature_set)
         lacking = sorted(row.id for row in rows if row.feature_set != feature_set)
-    done = 0
-    for some in portions(lacking):
-        with database.reading() as connection:
-            ids = [row.id for row in fetch_in(connection, sa.select(schema.clips.c.id), schema.clips.c.id, some)]
-            motions = dict(zip(ids, load_motions(connection, ids), strict=True))
-        described = dict(zip(ids, describe_motions(list(motions.values()), feature_set, n_jobs), strict=True))
+    done, describe = 0, partial(describe_motions, feature_set=feature_set, n_jobs=n_jobs)
+    for motions, descriptions in _describe_ahead(database, lacking, describe):
         with database.writing() as connection:
-            left = {row.id for row in fetch_in(connection, sa.select(schema.clips.c.id), schema.clips.c.id, some)}
-            still = {number: own for number, own in described.items() if number in left}
+            left = _list_existing(connection, list(motions))
+            still = {number: own for number, own in zip(motions, descriptions, strict=True) if number in left}
             save_descriptions(connection, list(still), list(still.values()))
         if look is not None:
             look(motions)
-        done += len(some)
+        done += len(motions)
         if progress is not None:
             progress(done, len(lacking))
+
+
+def _describe_ahead(
+    database: Database, ids: Sequence[int], describe: Callable[[list[StoredMotion]], list[Description]]
+) -> Iterator[tuple[dict[int, StoredMotion], list[Description]]]:
+    """Yield the motions of portions, by number, and their descriptions; the next ones are computed meanwhile."""
+    waiting: deque[tuple[dict[int, StoredMotion], Future[list[Description]]]] = deque()
+    with ThreadPoolExecutor(1) as beside:
+        for some in portions(ids):
+            with database.reading() as connection:
+                there = sorted(_list_existing(connection, some))
+                motions = dict(zip(there, load_motions(connection, there), strict=True))
+            waiting.append((motions, beside.submit(copy_context().run, describe, list(motions.values()))))
+            if len(waiting) > 1:
+                motions, described = waiting.popleft()
+                yield motions, described.result()
+        for motions, described in waiting:
+            yield motions, described.result()
+
+
+def _list_existing(connection: sa.Connection, ids: Sequence[int]) -> set[int]:
+    return {row.id for row in fetch_in(connection, sa.select(schema.clips.c.id), schema.clips.c.id, ids)}
 
 
 def load_poses(connection: sa.Connection, ids: Sequence[int], feature_set: str) -> NDArray[np.float32]:

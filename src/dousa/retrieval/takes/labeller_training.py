@@ -79,7 +79,7 @@ def train_labeller(
     generator = np.random.default_rng(seeds[1])
     sequence = fit_lengths(_measure(material, classes), SequenceWeights())
     del material  # frees some hundred kilobytes per take
-    model, trials = _learn_model(scale, codes, shown, len(classes), generator)
+    model, trials = _learn_model(scale, codes, shown, len(classes), generator, n_jobs)
     report(3, n_steps)
     sequence = replace(sequence, weights=choose_weights(sequence, trials))
     answers = [answer for trial in trials for answer in trial.answer(sequence)]
@@ -296,6 +296,7 @@ def _learn_model(
     shown: Sequence[_Shown],
     n_categories: int,
     generator: np.random.Generator,
+    n_jobs: int | None,
     set_aside: float = 0.25,
     least_states: int = 3,
 ) -> tuple[MomentModel, list[Trial]]:
@@ -315,7 +316,7 @@ def _learn_model(
         theirs = np.repeat([one.performer in some for one in shown], [len(one.states) for one in shown])
         out |= (theirs | np.isin(states // N_PHASES, aside)).astype(np.int64) << k
     out[states < 0] = -1
-    total, *sums = _sum_folds(scale, codes, states, weigh, out, len(people))
+    total, *sums = _sum_folds(scale, codes, states, weigh, out, len(people), n_jobs)
     folds = [
         _Fold([one for one in shown if one.performer in people[k]], asides[k], own)
         for k, own in enumerate(sums)
@@ -331,7 +332,7 @@ def _learn_model(
 
 
 def _sum_folds(
-    scale: Scale, codes: Codes, states: IntArray, weigh: FloatArray, out: IntArray, n_folds: int
+    scale: Scale, codes: Codes, states: IntArray, weigh: FloatArray, out: IntArray, n_folds: int, n_jobs: int | None
 ) -> Sequence[MomentSums | MomentRows]:
     """Return the sums over all moments, then those of each fold, which lacks the moments with its bit in ``out``.
 
@@ -341,9 +342,13 @@ def _sum_folds(
     if len(there) < codes.shape[1]:
         every = MomentRows.create(scale, codes[there], states[there], weigh)
         return [every, *(every.take(np.flatnonzero(out[there] >> k & 1 == 0)) for k in range(n_folds))]
+
+    def add_up(pattern: int) -> MomentSums:
+        return sum_moments(scale, codes, np.flatnonzero(out == pattern), states, weigh)
+
     sums = [MomentSums.zero(codes.shape[1], len(weigh)) for _ in range(n_folds + 1)]
-    for pattern in np.unique(out[there]).tolist():
-        part = sum_moments(scale, codes, np.flatnonzero(out == pattern), states, weigh)
+    patterns = np.unique(out[there]).tolist()
+    for pattern, part in zip(patterns, map_pieces(add_up, patterns, n_jobs, at_a_time=1), strict=True):
         for k, own in enumerate(sums):  # of all moments, then of the folds
             if k == 0 or not pattern >> (k - 1) & 1:
                 own.add(part)
