@@ -19,21 +19,21 @@ SOURCE = ROOT / "src" / "dousa"
 # Lines and files of each room, stubs included.
 ROOMS = {
     "app": (25_326, 116),
-    "estimation": (16_473, 69),
+    "estimation": (16_496, 69),
     "evaluation": (12_109, 46),
     "experiments": (1_699, 8),
     "files": (1_149, 8),
     "formats": (13_063, 68),
-    "library": (15_607, 56),
+    "library": (15_630, 56),
     "messages": (235, 3),
-    "motion": (6_485, 34),
-    "retrieval": (12_869, 47),
+    "motion": (6_492, 34),
+    "retrieval": (12_901, 47),
     "workers": (482, 6),
 }
 TOTALS = {
     "lines of tests": 62_273,
     "lines of JavaScript": 12_544,
-    "constants": 1_051,
+    "constants": 1_047,
     "numeric constants without a source": 5,
     "functions over 60 lines": 14,
     "files over 650 lines": 0,

@@ -173,7 +173,7 @@ class Diagnosis:
         return _await(self._notes[-1])
 
     def write(self, pose: FloatArray, frame: Frame) -> None:
-        """Add the note of a settled pose, with threads when they are told to ``start``."""
+        """Add the note of a settled pose; threads take it with the next ``start``."""
         self._given.append((pose, frame, (len(self._notes) + len(self._given)) % self._every == 0))
         if self.pool is None:
             self.start()

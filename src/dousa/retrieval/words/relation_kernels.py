@@ -150,11 +150,6 @@ def _turn(points, left, rate, body, lowest, speed, turned):
 
 
 @part
-def _norm(a):
-    return np.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
-
-
-@part
 def _apart(a, b):
     return np.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)
 
@@ -298,7 +293,9 @@ def _ask_body(body, heights, trunk, rate, holds):
         moving = abs(_slope(pelvis, t, rate)) > 0.1
         holds[0, 0, t] = lying
         holds[1, 0, t] = pelvis[t] < max(0.4, 0.8 * highest) and not lying
-        holds[2, 0, t] = upward[1] / _norm(upward) < 0.8 and upward[2] > 0 and not lying
+        holds[2, 0, t] = (
+            upward[1] / np.sqrt(upward[0] ** 2 + upward[1] ** 2 + upward[2] ** 2) < 0.8 and upward[2] > 0 and not lying
+        )
         holds[3, 0, t] = moving and rise > 0.1
         holds[4, 0, t] = moving and rise < -0.1
 
