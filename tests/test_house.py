@@ -26,7 +26,7 @@ ROOMS = {
     "formats": (13_063, 68),
     "library": (15_630, 56),
     "messages": (235, 3),
-    "motion": (6_492, 34),
+    "motion": (6_485, 34),
     "retrieval": (12_901, 47),
     "workers": (482, 6),
 }

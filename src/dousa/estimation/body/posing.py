@@ -143,7 +143,7 @@ def compute_angles(body: BodyModel, part: int, rotation: FloatArray) -> FloatArr
         return np.zeros(0)
     moved = rot.multiply(rot.conjugate(body.rest[part]), rotation)
     if count == 2:
-        frame = np.stack((axes[0], axes[1], np.cross(axes[0], axes[1])), axis=1)
+        frame = np.stack((axes[0], axes[1], rot.cross(axes[0], axes[1])), axis=1)
         angles = rot.to_euler(rot.from_matrix(frame.T @ rot.to_matrix(moved) @ frame), "XY")
     else:
         twist = 2.0 * np.arctan2(moved[1:] @ axes[count - 1], moved[0])
@@ -350,5 +350,5 @@ def _turn_hinge(
     across = ways - (ways @ axis)[:, None] * axis
     if (np.linalg.norm(across, axis=1) < straight * np.linalg.norm(ways, axis=1)).any():
         return led
-    twist = np.arctan2(axis @ np.cross(across[0], across[1]), across[0] @ across[1])
+    twist = np.arctan2(axis @ rot.cross(across[0], across[1]), across[0] @ across[1])
     return rot.multiply(led, rot.from_axis_angle(twist * axis))
