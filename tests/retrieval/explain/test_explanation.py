@@ -216,14 +216,6 @@ def test_categories_as_numbers_and_the_answer_as_json():
     assert read["reasons"][0]["text"] == str(told.reasons[0].text)
 
 
-def test_the_limit_and_the_same_answer_each_time(known):
-    forest, pose, _, durations = known
-    three = Explainer(forest).explain(pose[0], durations[0], limit=3)
-    assert Explainer(forest).explain(pose[0], durations[0], limit=1).reasons == three.reasons[:1]
-    again = MotionForest.from_bytes(forest.to_bytes())
-    assert Explainer(again).explain(pose[0], durations[0], limit=3) == three
-
-
 def test_wrong_calls_are_told(known):
     forest, pose, _, _ = known
     with pytest.raises(NotTrainedError):

@@ -1,7 +1,5 @@
 """The channels of the extended features against whole-array NumPy, and what they must not know."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -64,21 +62,6 @@ def test_names_are_unique_and_in_words():
     assert not any("_" in name for name in names)
 
 
-def test_a_raised_hand_and_a_circle_are_told_by_their_channels():
-    positions = np.repeat(standing(), 60, axis=0)
-    angle = 2.0 * np.pi * np.arange(60) / 30.0  # a turn a second
-    hand = CANONICAL_JOINTS.index("right_hand")
-    centre = positions[0, hand] + [0.0, 0.8, 0.0]
-    positions[:, hand, 0] = centre[0] + 0.3 * np.cos(angle)
-    positions[:, hand, 1] = centre[1] + 0.3 * np.sin(angle)
-    found = compute_channels(positions, HEIGHT).mean(axis=0)
-    value = dict(zip([channel.name for channel in CHANNELS], found, strict=True))
-    assert value["right hand above the pelvis"] > 0.2 > value["left hand above the pelvis"]
-    assert value["speed of the right hand"] == pytest.approx(2 * np.pi * 0.3 / HEIGHT, rel=0.1)
-    assert abs(value["right hand curving, seen from the front"]) == pytest.approx(2 * np.pi, rel=0.1)
-    assert value["speed of the left hand"] == pytest.approx(0.0, abs=1e-9)
-
-
 def test_integrals_are_sums_over_motion_time():
     rows = compute_channels(wander(20), HEIGHT)
     times, integrals = integrate_channels(rows)
@@ -109,14 +92,6 @@ def test_a_rate_near_zero_is_refused_before_it_fills_the_memory(rate):
 def test_sampling_keeps_the_mean_of_a_fast_recording():
     values = np.random.default_rng(0).normal(size=(120, 1, 3))
     np.testing.assert_allclose(sample_positions(values, 120.0), values.reshape(30, 4, 1, 3).mean(axis=1))
-
-
-def test_anything_with_positions_and_a_height_is_a_motion():
-    from dousa.retrieval import FEATURE_SETS
-
-    motion = SimpleNamespace(positions=wander(30), frame_rate=30.0, height=HEIGHT)
-    for name, columns in (("paper", 56), ("extended", 259)):
-        assert FEATURE_SETS[name].compute(motion).shape == (10, columns)
 
 
 @kernel

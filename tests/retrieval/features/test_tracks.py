@@ -112,14 +112,6 @@ def make_forest(feature_set, n_clips=12):
     return forest.fit(features, np.arange(n_clips) % 3, feature_set=feature_set), features
 
 
-def test_windows_reach_the_leaves_of_their_features():
-    forest, _ = make_forest(EXTENDED)
-    track = compute_track(recording(200, 99), EXTENDED)
-    starts = np.linspace(0, 150, 137)
-    leaves = forest.apply_windows(track, starts, starts + 45.5)
-    np.testing.assert_array_equal(leaves, forest.apply(track.describe(starts, starts + 45.5)))
-
-
 def test_a_track_of_other_features_is_refused():
     forest, _ = make_forest(EXTENDED)
     with pytest.raises(InvalidMotionError, match="feature set 'paper'"):

@@ -136,17 +136,6 @@ class TestCurve:
         assert fitted.slopes[0] < 0.5  # it stays a little near the prior
         assert fitted.slopes[1] > 2.0
 
-    def test_weights_are_repetitions(self):
-        rng = np.random.default_rng(1)
-        scores, positive = rng.normal(size=(300, 2)), rng.random(300) < 0.5
-        heavy = np.arange(300) < 100
-        prior = Curve(0.0, (0.0, 0.0))
-        weighted = fit_curve(scores, positive, np.where(heavy, 2.0, 1.0), prior)
-        rows = np.r_[np.arange(300), np.arange(100)]
-        repeated = fit_curve(scores[rows], positive[rows], np.ones(400), prior)
-        places = rng.normal(size=(20, 2))
-        assert weighted.evaluate(places) == pytest.approx(repeated.evaluate(places), abs=0.02)
-
 
 class TestEvidence:
     def test_equals_the_slow_transcription(self, material):
@@ -325,14 +314,6 @@ class TestLearning:
 
 
 class TestPoses:
-    def test_the_likeness_is_a_cosine_in_the_space(self):
-        space = fit_pose_space(FEATURES, CATEGORIES)
-        placed = space.place(FEATURES).tolist()
-        for k in range(0, len(FEATURES), 7):
-            own = [row for row, name in zip(placed, CATEGORIES, strict=True) if name == CATEGORIES[k]]
-            likeness = compare(space, FEATURES[[k]], CATEGORIES[[k]])[0]
-            assert likeness == pytest.approx(slow.cosine(placed[k], slow.middle_of(own)))
-
     def test_the_scatter_within_categories_is_the_same_along_all_axes(self):
         features, categories, _ = make_clips(8, 5, 20)
         placed = fit_pose_space(features, categories).place(features)

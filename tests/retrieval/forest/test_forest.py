@@ -189,15 +189,6 @@ def test_many_clips_are_sorted_as_few_are():
     assert_same_tree(unfold(forest), slow.root)
 
 
-def test_training_clips_are_recognised_unless_they_are_alike():
-    pose, categories = clips(1, 80)
-    forest = MotionForest(n_trees=3, random_state=0).fit(pose, categories)
-    assert (forest.predict(pose) == categories).all()
-    alike = MotionForest(n_trees=3, random_state=0).fit(np.ones((5, 3, 4)), [2, 1, 2, 1, 1])
-    assert alike.predict_proba(np.ones((1, 3, 4)), histogram="leaves").tolist() == [pytest.approx([0.6, 0.4])]
-    assert alike.predict(np.ones((1, 3, 4))).tolist() == [1]
-
-
 def test_noise_of_rounding_separates_nothing():
     pose = np.ones((4, 3, 2)) + np.array([0, 1e-15, 2e-15, 0])[:, None, None]
     forest = MotionForest(n_trees=2, random_state=0).fit(pose, ["a", "b", "a", "b"])
@@ -218,24 +209,6 @@ def test_bootstrap_leaves_some_clips_out():
     assert forest.trees_.leaf_counts.sum() == plain.trees_.leaf_counts.sum() == 4 * 60
     assert (forest.predict(pose) == categories).mean() > 0.8
     assert forest.trees_.n_leaves != plain.trees_.n_leaves
-
-
-def test_leaves_are_numbered_through_all_trees():
-    pose, categories = clips(2, 40)
-    forest = MotionForest(n_trees=6, random_state=0).fit(pose, categories)
-    leaves = forest.apply(pose)
-    assert leaves.shape == (40, 6)
-    assert (np.diff(leaves, axis=1) > 0).all()
-    assert sorted(set(leaves.ravel())) == list(range(forest.trees_.n_leaves))
-
-
-def test_manners_of_scikit_learn():
-    sklearn_base = pytest.importorskip("sklearn.base")
-    forest = MotionForest(n_trees=3, n_trials=4, random_state=1)
-    copy = sklearn_base.clone(forest)
-    assert copy.get_params() == forest.get_params()
-    assert copy.set_params(n_trees=5).n_trees == 5
-    assert repr(forest).startswith("MotionForest(n_trees=3, n_trials=4")
 
 
 @pytest.mark.parametrize(

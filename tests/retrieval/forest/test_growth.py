@@ -13,7 +13,7 @@ from oracles import plain_novelty as slow
 from oracles.node_tests import decide, evaluate_test, read_test
 
 from dousa.errors import InvalidMotionError, NotTrainedError, TrainingError
-from dousa.retrieval import FEATURE_SETS, MotionForest, integrate
+from dousa.retrieval import MotionForest, integrate
 from dousa.retrieval.forest import growth, standing_leaves, trees
 from dousa.retrieval.forest.growth import StandingClips, grow_forest
 from dousa.retrieval.forest.trees import prepare_leaves
@@ -230,21 +230,6 @@ def test_it_comes_near_to_training_anew():
     right = [(one.predict(features[test]) == categories[test]).mean() for one in (forest, grown, anew)]
     assert right[0] < 0.9
     assert right[1] > right[2] - 0.03
-
-
-def test_all_kinds_of_tests_of_the_extended_features():
-    features = FEATURE_SETS["extended"]
-    rng = np.random.default_rng(0)
-    cells = rng.normal(size=(40, features.n_frames, features.n_columns))
-    cells[:, :, len(features.channels) + 1 :] **= 2
-    categories = np.repeat(["a", "b", "c", "d"], 10)
-    cells += np.repeat(np.arange(4.0), 10)[:, None, None]
-    forest = MotionForest(6, n_trials="sqrt", thresholds="random", random_state=0)
-    forest.fit(cells[:30], categories[:30], feature_set=features)
-    standing = stand(forest, cells[:30], categories[:30])
-    growth = grow_forest(forest, standing, cells[30:], categories[30:], feature_set=features)
-    assert (growth.forest.predict(cells) == categories).all()
-    assert growth.forest.feature_names_ == features.column_names
 
 
 class TestErrors:

@@ -6,7 +6,6 @@ import pytest
 from dousa import MotionForest
 
 pytest.importorskip("sklearn", reason="scikit-learn is not installed: pip install 'dousa[map]'")
-from sklearn.base import clone
 from sklearn.model_selection import GridSearchCV, cross_val_score
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import FunctionTransformer
@@ -67,9 +66,3 @@ def test_the_checks_of_estimators_are_passed():
 def test_clips_are_cross_validated(estimator, scoring, clips):
     scores = cross_val_score(estimator, *clips, scoring=scoring, cv=3, error_score="raise")
     assert scores.mean() > (-0.5 if scoring == "neg_log_loss" else 0.9)
-
-
-def test_a_clone_is_not_trained_and_the_score_is_the_share_that_is_right(clips):
-    forest = clone(FOREST).fit(*clips)
-    assert forest.score(*clips) == 1.0 and forest.score(clips[0], np.roll(clips[1], 10)) == 0.5
-    assert clone(forest).get_params() == forest.get_params() and not clone(forest).__sklearn_is_fitted__()

@@ -56,11 +56,6 @@ def test_equalising_matches_the_oracle_and_keeps_the_mean(seed: int, frames: int
     np.testing.assert_allclose(fast.mean(axis=0), np.average(values, axis=0, weights=weights), atol=1e-9)
 
 
-def test_equal_weights_change_nothing() -> None:
-    values = np.random.default_rng(3).random((7, 4))
-    np.testing.assert_allclose(_equalise(values, np.ones(7)), values, atol=1e-12)
-
-
 def test_distances_match_the_oracle() -> None:
     motions = [answers(k, 5 + k) for k in range(6)]
     templates = MotionTemplates(n_iterations=2).fit(motions, list("aabbcc"))
@@ -126,12 +121,6 @@ def test_few_references_of_many_motions_still_average_all() -> None:
     assert ((average >= 0) & (average <= 1)).all()
     merged, _ = _merge(motions[0], motions)
     assert len(merged) == 12  # the mean length of the motions
-
-
-def test_a_category_with_one_motion_is_that_motion() -> None:
-    motion = answers(1, 8)
-    templates = MotionTemplates().fit([motion], ["only"])
-    np.testing.assert_array_equal(templates.templates_[0], motion)
 
 
 def test_questions_without_clips_get_no_answers() -> None:

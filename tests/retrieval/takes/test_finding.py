@@ -47,16 +47,6 @@ def test_a_clip_inside_a_take_is_found_at_its_place():
     assert all(one.score < 0.5 * found[0].score for one in found[1:])
 
 
-def test_a_take_that_is_the_query_is_found_whole():
-    clip = make_clip("spread", 0, 0, seconds=64 / 30)
-    alone = JoinedTake(clip.positions, clip.height, ())
-    found = find_in_takes(describe_query(FOREST, SET, clip), [("alone", describe(alone))])
-    assert (found[0].start, found[0].stop) == (0.0, 64 / 30)
-    assert found[0].score == pytest.approx(1.0)
-    assert found[0].distance == 0.0
-    assert found[0].shared_leaves == 1.0
-
-
 @pytest.mark.parametrize("tempo", [0.5, 2.0])
 def test_other_tempos_are_found(tempo):
     clip = make_clip("raise left", 1, 0, seconds=2.0)
@@ -94,14 +84,6 @@ def test_a_category_that_was_never_trained_is_found_by_its_poses():
     windows = describe_take(forest, SET, take, GRID)
     found = find_in_takes(describe_query(forest, SET, make_clip("wave", 0)), [("one", windows)])
     assert overlap((found[0].start, found[0].stop), span(take.pieces[-1])) > 0.5
-
-
-def test_answers_do_not_share_a_place_and_are_in_order():
-    take = take_of([make_clip(action, 5, trial) for trial in range(3) for action in ACTIONS])
-    found = find_in_takes(describe_query(FOREST, SET, make_clip("bow", 0)), [("one", describe(take))], limit=9)
-    assert [one.score for one in found] == sorted((one.score for one in found), reverse=True)
-    for k, one in enumerate(found):
-        assert all(overlap((one.start, one.stop), (o.start, o.stop)) < 0.3 for o in found[:k])
 
 
 def test_nothing_is_found_in_takes_that_are_too_short_or_in_none():

@@ -9,7 +9,7 @@ from oracles.short_actions import ACTIONS, make_clip, make_library
 
 from dousa.experiments.annotated_takes import learn_clip_judge
 from dousa.motion.canonical.canonicalise import mirror_positions
-from dousa.retrieval.takes.label import TakeLabeller, label_take
+from dousa.retrieval.takes.label import label_take
 from dousa.retrieval.takes.labeller_training import train_labeller
 from dousa.retrieval.takes.made_takes import join_clips
 from dousa.retrieval.takes.repetitions import Chosen, count_all, divide_cycles, find_phases, lay_mirrored
@@ -107,14 +107,6 @@ def test_a_labeller_knows_what_one_repetition_is(labeller):
     )
     said = label_take(labeller, take, threshold=0.0).segments
     assert [(one.category, one.repetitions) for one in said] == [("kick", 4), ("bow", 4), ("spread", 4)]
-
-
-def test_a_labeller_that_knows_no_phases_counts_too(labeller):
-    without = replace(labeller, phases=())
-    before = TakeLabeller.from_bytes(without.to_bytes())
-    assert before.phases == ()
-    take = join_clips([make_clip("bow", 5, k) for k in range(4)], np.random.default_rng(1))
-    assert [one.repetitions for one in label_take(before, take, threshold=0.0).segments] == [4]
 
 
 def test_left_and_right_are_one_repetition_where_most_clips_show_two_cycles():

@@ -65,14 +65,6 @@ def test_live_segments_are_judged_too():
     assert said == ["spread", None, "wave", None, "raise left"]
 
 
-def test_with_a_threshold_of_nothing_nothing_is_unknown():
-    still = replace(shown_take(), positions=np.repeat(shown_take().positions[:1], 300, axis=0))
-    for take in (shown_take(), still):
-        assert None not in [
-            one.category for one in label_take(learned_labeller(), take, judge=learned_judge(), threshold=0).segments
-        ]
-
-
 def test_a_threshold_is_one_of_what_is_told():
     sure = [
         one.confidence
@@ -272,11 +264,6 @@ def test_of_a_long_series_a_few_parts_are_looked_at():
     (weighed,) = weigh_chosen(learned_labeller(), [chosen], shown_take(), told)
     assert weighed.likely
     assert told.spans == [(3.0 * k, 3.0 * k + 1.0) for k in range(5)]
-
-
-def test_a_series_of_what_clips_show_once_is_known():
-    take = join_clips([make_clip("wave", 7, k % 3) for k in range(7)], np.random.default_rng(3))
-    assert {one.category for one in label_take(learned_labeller(), take, judge=learned_judge()).segments} == {"wave"}
 
 
 def test_stretches_are_cut_at_the_rate_of_their_recording():
