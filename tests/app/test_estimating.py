@@ -86,12 +86,6 @@ class TestStart:
         for name in set(one) & set(two):
             np.testing.assert_allclose(one[name], two[name], atol=1e-4)
 
-    def test_a_frame_beyond_the_end_says_where_the_end_is(self, walk):
-        last = make_motion("walk", draw_performer(3)).n_frames - 1
-        assert read_start(f"{walk}:{last}", ReadOptions()).frame == last
-        with pytest.raises(OptionError, match=rf"frames 0 to {last}, there is no frame {last + 1}"):
-            read_start(f"{walk}:{last + 1}", ReadOptions())
-
     def test_true_joints_beside_silhouettes_serve_too(self, tmp_path):
         path = tmp_path / "seen.npz"
         places = np.random.default_rng(0).normal(size=(4, 20, 3))
@@ -211,11 +205,6 @@ class TestPartialFile:
         kept.remove()
         assert list(tmp_path.iterdir()) == []
         kept.remove()
-
-    def test_other_inputs_start_anew_and_say_so(self, tmp_path):
-        PartialFile(tmp_path / "out.bvh", "key", every=0.0).save(lambda: self.track)
-        found, note = PartialFile(tmp_path / "out.bvh", "other").load(Track)
-        assert found is None and note.code == "track_log.other_work" and "other inputs or settings" in str(note)
 
     @pytest.mark.parametrize("damage", ["cut", "text", "empty", "bits", "lacking"])
     def test_damaged_files_start_anew_and_say_so(self, tmp_path, damage):

@@ -1,7 +1,5 @@
 """Pictures: valid files of sane size with something on them, in any script, whole or not at all."""
 
-import errno
-import os
 import re
 
 import numpy as np
@@ -170,17 +168,3 @@ def test_what_cannot_be_drawn_is_refused(walk, tmp_path):
     with pytest.raises(MotionWriteError, match="folder does not exist"):
         draw_contact_sheet(walk, tmp_path / "no" / "sheet.png")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_full_disk_leaves_the_old_picture(walk, tmp_path, monkeypatch):
-    path = tmp_path / "sheet.png"
-    path.write_bytes(b"old")
-
-    def full(_):
-        raise OSError(errno.ENOSPC, "no space left on device")
-
-    monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(MotionWriteError, match="disk is full"):
-        draw_contact_sheet(walk, path)
-    assert path.read_bytes() == b"old"
-    assert list(tmp_path.iterdir()) == [path]

@@ -85,14 +85,6 @@ def test_nothing_found_and_no_length(tmp_path, segments):
     ink(tmp_path / "take.png")
 
 
-@pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
-def test_same_picture_same_bytes_in_any_script(suffix, walk, tmp_path):
-    found = timeline(segment(0, 0.5, "$x_1$ 動作 \u202e"), segment(0.5, 1, "a" * 200))
-    for name in ("a", "b"):
-        draw_timeline(found, tmp_path / (name + suffix), walk, "録画")
-    assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
-
-
 def test_wrong_suffix_and_folder(tmp_path):
     with pytest.raises(OptionError, match=r"expected a picture \.png"):
         draw_timeline(take(1, 1), tmp_path / "take.gif")

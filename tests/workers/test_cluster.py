@@ -8,12 +8,12 @@ import sys
 import pytest
 import sqlalchemy as sa
 
-from dousa.errors import ClusterError, OptionError
+from dousa.errors import ClusterError
 from dousa.library import Library
 from dousa.library.store import schema
 from dousa.motion.synthetic import draw_performer, make_motion
 from dousa.workers import cluster as cluster_module
-from dousa.workers import current_cluster, use_cluster
+from dousa.workers import use_cluster
 from dousa.workers.remote import check_versions, cut, find_hidden, list_versions
 from workers.local_cluster import run_cluster
 
@@ -157,15 +157,6 @@ def test_experiments_give_the_same_numbers(files, monkeypatch, workers):
         with pytest.raises(ClusterError, match="does not see"):
             cluster.check_paths([files / "first" / "walk" / "broken.bvh"])
     assert found[0] == found[1]
-
-
-def test_a_scheduler_that_is_not_there(monkeypatch):
-    monkeypatch.setitem(cluster_module.connect.__wrapped__.__kwdefaults__, "timeout", 0.5)
-    with pytest.raises(ClusterError, match=r"no Dask scheduler can be reached"), use_cluster("tcp://127.0.0.1:9"):
-        pass
-    with pytest.raises(OptionError, match="tcp://HOST:8786"), use_cluster("nonsense"):
-        pass
-    assert current_cluster() is None
 
 
 def test_other_versions_are_told():

@@ -107,16 +107,6 @@ def test_a_moved_cut_changes_the_figures_at_once(studio, job):
     assert kept["furi_used"] == furi and kept["furi_found"] == job["result"]["furi_found"]
 
 
-def test_weights_change_the_grade(studio, job):
-    legs = {"left_arm": 0, "right_arm": 0, "trunk": 0}
-    quick = _adjust(studio, job, weights=legs, precision="quick").json()
-    assert not quick["exact"]
-    exact = _adjust(studio, job, weights=legs).json()
-    assert exact["exact"] and exact["assessment"]["weights"] == legs
-    assert exact["assessment"]["score"] != job["result"]["score"]
-    assert quick["assessment"]["score"] == pytest.approx(exact["assessment"]["score"], abs=5)
-
-
 def _cut(start, end, label="A"):
     return {"start_s": start, "end_s": end, "label": label}
 

@@ -98,12 +98,6 @@ def test_a_jump_joins_two_lines_where_it_is_worth_its_price() -> None:
     assert np.array_equal(follow(cost, 30.0, 1e9, 0.75), [*range(20), *[-1] * 15])
 
 
-def test_a_slower_course_pauses() -> None:
-    here = np.arange(30)
-    cost = 1.0 - (here[:, None] // 2 == np.arange(15))
-    assert np.array_equal(follow(cost, 25.0, 0.35, 0.9), here // 2)
-
-
 def test_a_lag_that_grows_is_followed() -> None:
     expected = np.repeat([3, 4, 5, 6, 5], 10)
     cost = 4.0 * np.abs(np.arange(9) - expected[:, None])

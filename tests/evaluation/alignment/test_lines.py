@@ -18,17 +18,6 @@ from lab.injection.injection import KINDS, inject, simulate_performer
 TEMPOS = ("same", "free")
 
 
-@pytest.mark.parametrize("tempo", TEMPOS)
-@pytest.mark.parametrize("frame_rate", [30.0, 120.0])
-def test_a_motion_lies_on_itself(tempo: str, frame_rate: float) -> None:
-    motion = thin(make_wandering_motion(10, 1, frame_rate))
-    found = align(motion, motion, tempo, EVEN)
-    assert np.abs(found.frames - np.arange(motion.n_frames)).max() < 1e-6
-    assert len(found.runs) == 1
-    assert found.mismatch < 1e-3
-    assert found.tempo == pytest.approx(1.0)
-
-
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("late", [7, 25, 60])
 def test_a_known_offset_is_found(late: int, seed: int) -> None:
@@ -202,10 +191,6 @@ def test_several_lapses_come_in_order() -> None:
 def test_ends_that_differ_by_half_a_second_are_normal() -> None:
     motion = make_wandering_motion(4, 7)
     assert look(motion, simulate_performer(choose(motion, np.arange(15, 110)), 1)) == ()
-
-
-def test_nothing_in_common_is_no_lapse() -> None:
-    assert look(make_wandering_motion(10, 10), make_wandering_motion(12, 20)) == ()
 
 
 @pytest.mark.parametrize("counts", [(1, 1), (2, 1), (1, 2), (2, 2)])

@@ -54,11 +54,6 @@ def test_files_that_are_no_beats(tmp_path, content, code, line):
     assert str(path) in str(caught.value)
 
 
-def test_a_file_that_is_not_there(tmp_path):
-    with pytest.raises(MotionFileError):
-        read_beats(tmp_path / "none.csv")
-
-
 RATE = 60.0
 BEATS = np.arange(0.0, 40.0, 0.5)
 TOLERATED_MS = 25.0

@@ -81,14 +81,6 @@ def test_a_small_lag_is_forgiven_a_larger_one_is_not() -> None:
     assert np.abs(late.course[30:330][moving] - (late.center - 9)).max() <= 1
 
 
-def test_identity_has_no_evidence() -> None:
-    for motion in (MOTION, place(MOTION, 2.0, 1.0, 3.0, 0.8)):
-        evidence = gather(motion)
-        assert evidence.ordinary.max() < 1e-9
-        assert (evidence.course == evidence.center).all()
-        assert np.abs(refine_lag(evidence, evidence.course)).max() == 0.0
-
-
 @pytest.mark.parametrize("lag_s", [-0.31, -0.12, 0.145, 0.2, 0.42])
 def test_the_lag_is_found_to_a_fraction_of_a_frame(lag_s: float) -> None:
     evidence = gather(be_late(MOTION, lag_s, 3.0, 8.0))

@@ -82,10 +82,6 @@ def make_logs(
     return np.log(by_limb), np.log(whole)
 
 
-def test_nothing_wrong_is_no_error() -> None:
-    assert decode(*make_logs({}, {}), RATE, PLAIN) == []
-
-
 def test_an_error_has_its_span_and_limb() -> None:
     (found,) = decode(*make_logs({(1, "partial"): (10, 30)}, {}), RATE, PLAIN)
     assert (found.kind, found.start, found.end, found.limbs) == ("partial", 10, 30, (1,))

@@ -295,10 +295,6 @@ def test_a_steady_rise_of_five_can_be_told_from_chance_and_of_four_it_cannot() -
     assert not four.distinguishable
 
 
-def test_one_outlier_does_not_move_the_slope() -> None:
-    assert estimate_trend([1.0, 2.0, 3.0, 400.0, 5.0, 6.0, 7.0]).slope == pytest.approx(1.0)
-
-
 def test_a_missing_value_keeps_its_place() -> None:
     found = estimate_trend([1.0, math.nan, 3.0, 4.0])
     assert found.slope == pytest.approx(1.0)
@@ -310,11 +306,6 @@ def test_less_than_two_values_have_no_trend(values: list[float]) -> None:
     found = estimate_trend(values)
     assert math.isnan(found.slope)
     assert not found.distinguishable
-
-
-def test_equal_values_have_no_trend() -> None:
-    found = estimate_trend([2.0] * 8)
-    assert (found.slope, found.p_value) == (0.0, 1.0)
 
 
 def test_chance_alone_is_called_a_trend_no_more_often_than_it_says() -> None:

@@ -133,18 +133,6 @@ def test_one_gesture_of_a_real_person_is_one_furi(shared_data: Callable[[str], P
         assert len(find_furi(compute_postures(canonicalise(read_motion(path))))) == 1
 
 
-def test_a_real_dance_is_covered(shared_data: Callable[[str], Path]):
-    path = shared_data("bandai_dance/dataset-1_dance-short_normal_001.bvh")
-    postures = compute_postures(canonicalise(read_motion(path)))
-    furi = find_furi(postures)
-    check_cover(furi, postures.n_frames)
-    assert 8 <= len(furi) <= 30
-    assert all(1.0 <= figure.n_frames / 30 <= 10.2 for figure in furi)
-    # She stands for 8.4 s before she begins, and that is one figure.
-    assert furi[0].end / 30 == pytest.approx(8.4, abs=0.5)
-    assert sum(figure.label == "A" for figure in furi) == 1
-
-
 def test_walking_goes_in_equal_pieces(shared_data: Callable[[str], Path]):
     path = min(path for path in shared_data("bandai/walk/normal").iterdir() if not is_held_out(path.name))
     postures = compute_postures(canonicalise(read_motion(path)))

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from oracles.answers import check, kinds
+from oracles.answers import check
 from oracles.answers import judge as judge_answer
 from oracles.wandering import make_wandering_motion
-from oracles.wrong_dances import ARM, be_late, choose, cut, get_dance, lose, place, turn_limb
+from oracles.wrong_dances import ARM, choose, cut, get_dance, lose, place, turn_limb
 
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.evaluation import Assessment, advise, assess
@@ -191,25 +191,6 @@ def test_a_real_recording_is_like_itself_whoever_plays_it(name: str, shared_data
     assert np.nanmax(same.residual) < 1e-6 and np.nanmax(np.abs(same.lag)) < 1e-6
     elsewhere = judge(place(motion, 2.0, 3.0, -1.0, 0.8), motion)
     assert elsewhere.score == pytest.approx(100.0, abs=0.001) and elsewhere.events == ()
-
-
-def test_an_error_in_a_real_dance_is_found(shared_data: Callable[[str], Path]) -> None:
-    dance = canonicalise(read_motion(shared_data(REAL_FILES[0])))
-    wrong = turn_limb(be_late(dance, 0.35, 20.0, 24.0), LEFT_ARM, 60.0, 40.0, 42.0)
-    found = judge(wrong, dance)
-    assert kinds(found) == ["shift", "partial"]
-    assert found.events[0].lag_ms == pytest.approx(350.0, abs=25.0)
-    assert set(found.events[1].segments) <= LEFT_ARM_SEGMENTS
-    assert found.events[1].start_s == pytest.approx(40.1, abs=0.2)
-
-
-def test_a_second_take_of_one_person_is_hardly_wrong(shared_data: Callable[[str], Path]) -> None:
-    takes = [canonicalise(read_motion(shared_data(name))) for name in KICKS]
-    for reference, performance in ((takes[0], takes[1]), (takes[1], takes[0])):
-        found = judge(performance, reference)
-        assert "global" not in kinds(found) and len(found.events) <= 2
-        assert found.score > 20.0
-        assert not any(warning.code == "assessment.unlike" for warning in found.warnings)
 
 
 def test_what_is_named_more_exactly_weighs_in_any_order() -> None:

@@ -35,12 +35,6 @@ def test_the_numbers_that_are_shipped_make_sense() -> None:
     assert (np.diff(MODEL.doubt) <= 0.0).all()  # more takes of the reference leave less doubt
 
 
-@given(extents, counts)
-def test_the_same_motion_is_graded_100(extent: float, count: int) -> None:
-    found = compute_grade(NOTHING, extent, 1.0, count)
-    assert found.score == 100.0 and found.calibrated == (count >= 3) == (found.formula.code == "grade.calibrated")
-
-
 @given(parts_of_a_grade, st.integers(0, len(PARTS) - 1), st.floats(0.0, 40.0), extents)
 def test_more_of_any_part_never_grades_better(parts: np.ndarray, number: int, more: float, extent: float) -> None:
     worse = parts + more * np.eye(len(PARTS))[number]

@@ -20,7 +20,6 @@ from dousa.evaluation.posture.posture import (
     check_weights,
     compute_postures,
     compute_segments,
-    mirror_postures,
 )
 from dousa.formats.registry import read_motion
 from dousa.motion import JOINT_INDEX, CanonicalMotion, canonicalise
@@ -149,18 +148,6 @@ def test_one_frame(walker: CanonicalMotion) -> None:
     postures = compute_postures(gone)
     assert not postures.seen.any()
     np.testing.assert_allclose(np.linalg.norm(postures.segments, axis=2), 1.0)
-
-
-def test_mirror_twice_is_the_same(walker: CanonicalMotion) -> None:
-    postures = compute_postures(with_missing(walker, [(slice(2, 5), "left_wrist")]))
-    mirrored = mirror_postures(postures)
-    assert np.flatnonzero(~mirrored.seen[3]).tolist() == [4]
-    clear = mirrored.seen
-    np.testing.assert_allclose(compute_segments(mirrored.positions)[clear], mirrored.segments[clear], atol=1e-12)
-    back = mirror_postures(mirrored)
-    np.testing.assert_array_equal(back.segments, postures.segments)
-    np.testing.assert_array_equal(back.positions, postures.positions)
-    np.testing.assert_array_equal(back.seen, postures.seen)
 
 
 def test_arrays_are_read_only(walker: CanonicalMotion) -> None:

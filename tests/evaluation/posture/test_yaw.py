@@ -200,12 +200,6 @@ def make_vectors(degrees: float, *names: str) -> FloatArray:
     return vectors
 
 
-def test_the_same_body_has_no_offset() -> None:
-    found = estimate_offset(REFERENCE, REFERENCE, PAIRS)
-    np.testing.assert_allclose(found.measured, 0.0, atol=1e-6)
-    assert not found.missing.any()
-
-
 @pytest.mark.parametrize("facing", [0.0, 2.0])
 def test_an_offset_is_found_whatever_the_heading(facing: float) -> None:
     vectors = make_vectors(8.0, "left_upper_arm", "left_forearm")
