@@ -30,7 +30,7 @@ from dousa.evaluation import (
     find_repetitions,
 )
 from dousa.evaluation.errors import causes
-from dousa.evaluation.errors.faults import describe_fault, describe_repetition, find_faults
+from dousa.evaluation.errors.faults import WELL, describe_fault, describe_repetition, find_faults
 from dousa.evaluation.exercises.split import find_reference_repetitions
 from dousa.evaluation.exercises.summary import (
     choose_angles,
@@ -40,6 +40,8 @@ from dousa.evaluation.exercises.summary import (
     describe_trends,
 )
 from dousa.evaluation.exercises.trends import adjust_for_many, estimate_trend
+from dousa.evaluation.grade.references import prepare_references
+from dousa.evaluation.grade.score import find_well
 from dousa.formats.motion_files import ReadOptions, read_canonical
 from dousa.motion import CanonicalMotion, canonicalise, compute_trajectories, mirror_canonical
 from dousa.motion.canonical.joints import JOINT_INDEX
@@ -462,14 +464,20 @@ def test_a_squat_that_is_not_deep_is_short_in_the_knees_and_hips_at_the_lowest_p
     assert assess([model], model).events == ()
 
 
-def test_what_is_graded_like_one_of_the_references_has_no_joint_at_fault() -> None:
-    models = make_clips("squat", 4)
-    small, smaller = (
-        dataclasses.replace(models[k], positions=models[k].positions[:1] * (1.0 - share) + share * models[k].positions)
-        for k, share in ((0, 0.4), (1, 0.35))
-    )
-    assert any(event.fault for event in assess(models[2:], small).events)
-    assert not any(event.fault for event in assess([*models[2:], smaller], small).events)
+def test_a_movement_is_done_well_that_is_graded_like_the_references_by_each_other() -> None:
+    models = make_clips("squat", 5)
+
+    def find(*shares: float) -> float:
+        takes = [
+            dataclasses.replace(one, positions=one.positions[:1] * (1.0 - share) + share * one.positions)
+            for one, share in zip(models, shares, strict=False)
+        ]
+        shares_of_segments = np.ones(9)
+        references = prepare_references([compute_postures(one) for one in takes], "same", shares_of_segments)
+        return find_well(references, shares_of_segments)
+
+    assert find(1.0) == find(1.0, 1.0, 1.0) == find(1.0, 1.0, 1.0, 1.0, 0.3) == WELL
+    assert find(1.0, 0.5, 0.25) < WELL
 
 
 def move_left_arm(model: CanonicalMotion, degrees: np.ndarray) -> CanonicalMotion:

@@ -31,7 +31,8 @@ from dousa.motion.runs import find_equal_runs
 _RATE = 15.0  # Hz at which repetitions are compared; 10 do as well: measured by lab/trials/exercise_faults.py
 _LASTING_S = 0.3  # for which a difference must last; also at either end what is the own posture (lab/trials/)
 _LASTING_SHARE = 0.15  # of a quick repetition, instead: measured by lab/trials/exercise_faults.py
-_AGREE = 0.25  # share of the references that may disagree: measured by lab/trials/exercise_faults.py
+AGREE = 0.25
+"""Share of the references that may disagree, measured by lab/trials/exercise_faults.py."""
 _TREMBLES = 10.0  # what a sensor drifts by, of what it trembles by from frame to frame: measured there
 _ONE_REFERENCE = 1.6  # times as far from one person as from three who agree: measured there
 _FURTHEST = 0.8  # share of the reach from which on the body is at the furthest point, by definition
@@ -282,7 +283,7 @@ def compare_all(
         np.stack(some) for some in zip(*(_compare(one, reference) for reference in references), strict=True)
     )
     usual = np.median(apart, axis=0)
-    agreed = np.quantile(apart * np.where(usual < 0, -1.0, 1.0), _AGREE, axis=0)
+    agreed = np.quantile(apart * np.where(usual < 0, -1.0, 1.0), AGREE, axis=0)
     return usual, np.median(theirs, axis=0), _average(np.maximum(np.nan_to_num(agreed), 0.0), one.margin)
 
 

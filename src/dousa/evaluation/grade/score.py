@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
-from dousa.evaluation.errors.faults import WELL
+from dousa.evaluation.errors.faults import AGREE, WELL
 from dousa.evaluation.grade.movement import (
     PARTS,
     Difference,
@@ -172,8 +172,8 @@ def grade_performance(
 
 
 def find_well(references: ReferenceTakes, weights: FloatArray) -> float:
-    """Find the grade from which on a single movement is done well: `WELL`, or what the others give a take of the
-    reference, where that is less. What one take does is right.
+    """Find the grade from which on a single movement is done well: `WELL`, or, where that is less, the one that three
+    quarters of the takes of the reference get at least from the others: no single one makes a fault or hides one.
 
     Parameters
     ----------
@@ -184,11 +184,10 @@ def find_well(references: ReferenceTakes, weights: FloatArray) -> float:
     apart = {
         (i, k): compare_movements(references.movements[i], references.movements[k]) for i, k in permutations(takes, 2)
     }
-    lowest = WELL
-    for k in takes:
+    scores = []
+    for k in takes if apart else ():
         others = [i for i in takes if i != k]
-        if others:
-            agreement = find_agreement([apart[pair] for pair in combinations(others, 2)])
-            among = replace(references, agreement=agreement)
-            lowest = np.fmin(lowest, grade_performance(among, [apart[i, k] for i in others], weights).score)
-    return float(lowest)
+        among = replace(references, agreement=find_agreement([apart[pair] for pair in combinations(others, 2)]))
+        scores.append(grade_performance(among, [apart[i, k] for i in others], weights).score)
+    known = [score for score in scores if math.isfinite(score)]
+    return min(WELL, float(np.quantile(known, AGREE))) if known else WELL
