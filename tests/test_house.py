@@ -31,7 +31,7 @@ ROOMS = {
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 61_784,
+    "lines of tests": 61_792,
     "lines of JavaScript": 12_544,
     "constants": 1_047,
     "numeric constants without a source": 5,
