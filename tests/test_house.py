@@ -19,7 +19,7 @@ SOURCE = ROOT / "src" / "dousa"
 # Lines and files of each room, stubs included.
 ROOMS = {
     "app": (25_326, 116),
-    "estimation": (16_496, 69),
+    "estimation": (16_497, 69),
     "evaluation": (12_109, 46),
     "experiments": (1_699, 8),
     "files": (1_149, 8),
@@ -31,7 +31,7 @@ ROOMS = {
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 61_792,
+    "lines of tests": 61_790,
     "lines of JavaScript": 12_544,
     "constants": 1_047,
     "numeric constants without a source": 5,

@@ -25,14 +25,12 @@ from dousa.estimation.raster.rendering import render
 from dousa.estimation.tracking.diagnosis import (
     Diagnosis,
     Note,
-    compare_views,
-    draw_views,
     erode,
     judge,
     look_at_parts,
     measure_swap,
 )
-from dousa.estimation.tracking.search_setup import SearchSetup, measure_rim
+from dousa.estimation.tracking.search_setup import SearchSetup, compare_views, draw_views, measure_rim
 from dousa.estimation.tracking.settings import TrackerSettings
 from dousa.estimation.tracking.start import exchange_pair, find_pairs
 

@@ -9,14 +9,21 @@ from concurrent.futures import Executor, Future
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dousa.arrays import BoolArray, FloatArray
 from dousa.estimation.body import doubt
 from dousa.estimation.body.doubt import Doubt
 from dousa.estimation.body.kinematics import compute_points, place_parts, step_poses
-from dousa.estimation.raster.rasteriser import Bits, draw_placed
-from dousa.estimation.tracking.search_setup import Frame, SearchSetup, erode, measure_rim
+from dousa.estimation.raster.rasteriser import draw_placed
+from dousa.estimation.tracking.search_setup import (
+    Frame,
+    SearchSetup,
+    compare_views,
+    count_bits,
+    draw_views,
+    erode,
+    measure_rim,
+)
 from dousa.estimation.tracking.start import StartSearch, exchange_pair, find_pairs
 
 HIDDEN = 0.1
@@ -71,28 +78,6 @@ def _fill(values: FloatArray) -> FloatArray:
     return np.stack([np.interp(frames, known, column[known]) for column in values.T], axis=1)
 
 
-def _count_bits(bits: Bits) -> NDArray[np.int64]:
-    """Count the bits set in images (..., H, words)."""
-    counts = np.bitwise_count(bits).reshape(*bits.shape[:-2], -1)
-    return np.asarray(np.add.reduce(counts, axis=-1, dtype=np.int32).astype(np.int64))
-
-
-def draw_views(setup: SearchSetup, pose: FloatArray, frame: Frame) -> Bits:
-    """Draw a pose into the views (V, H, words) that are seen."""
-    placed, together = place_parts(setup.body, pose[None]), np.zeros(setup.body.n_parts, np.intp)
-    drawn = np.zeros_like(frame.bits)
-    for view in np.flatnonzero(frame.seen):
-        found = draw_placed(setup.body, placed, setup.rows[view], setup.sizes[view], together, 1)[0, 0]
-        drawn[view, : found.shape[0], : found.shape[1]] = found
-    return drawn
-
-
-def compare_views(drawn: Bits, silhouettes: Bits) -> FloatArray:
-    """Compute intersection over union (V,) of bits (V, H, words); nan where both are empty."""
-    both, either = _count_bits(drawn & silhouettes), _count_bits(drawn | silhouettes)
-    return np.where(either > 0, both / np.maximum(either, 1), np.nan)
-
-
 def look_at_parts(setup: SearchSetup, pose: FloatArray, frame: Frame, steps: int) -> tuple[FloatArray, FloatArray]:
     """Compute ``visible`` and ``outside`` (P,) of `Note`; ``steps`` px at the outline do not count."""
     body, visible = setup.body, np.zeros(setup.body.n_parts)
@@ -103,10 +88,10 @@ def look_at_parts(setup: SearchSetup, pose: FloatArray, frame: Frame, steps: int
         before = np.bitwise_or.accumulate(parts)  # what each part and those before it cover
         shared = np.bitwise_or.reduce(before[:-1] & parts[1:])
         deep = erode(before[-1] & ~frame.bits[view, : parts.shape[1], : parts.shape[2]], steps)
-        whole, own = _count_bits(parts), _count_bits(parts & ~shared)
+        whole, own = count_bits(parts), count_bits(parts & ~shared)
         visible = np.maximum(visible, own / np.maximum(whole, 1))
         wholes += whole
-        beyond += _count_bits(parts & deep)
+        beyond += count_bits(parts & deep)
     return visible, beyond / np.maximum(wholes, 1.0)
 
 

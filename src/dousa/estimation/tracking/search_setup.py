@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray, Mask
 from dousa.estimation.body.body import BodyModel
-from dousa.estimation.body.kinematics import tree_arrays
+from dousa.estimation.body.kinematics import place_parts, tree_arrays
 from dousa.estimation.cameras.camera import Camera, pack_cameras
-from dousa.estimation.raster.rasteriser import Bits, outline_scratch, pack_bits, unpack_bits
+from dousa.estimation.raster.rasteriser import Bits, draw_placed, outline_scratch, pack_bits, unpack_bits
 from dousa.estimation.silhouettes.cleaning import is_nearly_full
 from dousa.estimation.tracking.outlines import shrink_mask
 from dousa.estimation.tracking.search_kernels import sweep
@@ -186,6 +186,28 @@ class SearchSetup:
         bounds = (self.bounds[0], np.zeros_like(self.bounds[1]), self.bounds[2])
         fixed = (self.weights, bounds, self.model, views, scratch)
         return float(sweep(pose, still, self.order[:0], self.whole, (0.0, self.half, 1), *fixed, np.zeros((0, 2))))
+
+
+def count_bits(bits: Bits) -> NDArray[np.int64]:
+    """Count the bits set in images (..., H, words)."""
+    counts = np.bitwise_count(bits).reshape(*bits.shape[:-2], -1)
+    return np.asarray(np.add.reduce(counts, axis=-1, dtype=np.int32).astype(np.int64))
+
+
+def draw_views(setup: SearchSetup, pose: FloatArray, frame: Frame) -> Bits:
+    """Draw a pose into the views (V, H, words) that are seen."""
+    placed, together = place_parts(setup.body, pose[None]), np.zeros(setup.body.n_parts, np.intp)
+    drawn = np.zeros_like(frame.bits)
+    for view in np.flatnonzero(frame.seen):
+        found = draw_placed(setup.body, placed, setup.rows[view], setup.sizes[view], together, 1)[0, 0]
+        drawn[view, : found.shape[0], : found.shape[1]] = found
+    return drawn
+
+
+def compare_views(drawn: Bits, silhouettes: Bits) -> FloatArray:
+    """Compute intersection over union (V,) of bits (V, H, words); nan where both are empty."""
+    both, either = count_bits(drawn & silhouettes), count_bits(drawn | silhouettes)
+    return np.where(either > 0, both / np.maximum(either, 1), np.nan)
 
 
 def _list_subtrees(parents: NDArray[np.intp]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -21,7 +21,6 @@ from dousa.errors import BodyModelError, SilhouetteError
 from dousa.estimation.body.body import BodyModel
 from dousa.estimation.body.kinematics import compute_points, point_names
 from dousa.estimation.body.posing import lead_limbs, lead_pose, standing_state
-from dousa.estimation.raster.rasteriser import draw_body, pack_bits
 from dousa.estimation.silhouettes.cleaning import is_nearly_full
 from dousa.estimation.silhouettes.silhouettes import Silhouettes
 from dousa.estimation.tracking.outlines import (
@@ -32,7 +31,7 @@ from dousa.estimation.tracking.outlines import (
     shrink_views,
     turn_about,
 )
-from dousa.estimation.tracking.search_setup import Frame, SearchSetup
+from dousa.estimation.tracking.search_setup import Frame, SearchSetup, compare_views, draw_views
 from dousa.estimation.tracking.settings import TrackerSettings
 from dousa.messages import Message, Progress
 from dousa.motion import CANONICAL_JOINTS, canonicalise
@@ -343,13 +342,8 @@ class StartSearch:
 
     def measure_overlap(self, pose: FloatArray) -> float:
         """Compute the mean intersection over union of the views that see a person."""
-        shares = []
-        for view in np.flatnonzero(self.frame.seen):
-            drawn = pack_bits(draw_body(self.body, pose, self.cameras[view])[0])
-            bits = self.frame.bits[view, : drawn.shape[0], : drawn.shape[1]]
-            both, either = np.bitwise_count(drawn & bits).sum(), np.bitwise_count(drawn | bits).sum()
-            shares.append(float(both) / max(float(either), 1.0))
-        return float(np.mean(shares))
+        shares = compare_views(draw_views(self.setup, pose, self.frame), self.frame.bits)
+        return float(shares[self.frame.seen].mean())
 
     def _sweep(self, pose: FloatArray, factor: float, order: IndexArray | None = None) -> None:
         shift, scratch = np.zeros(self.setup.n_axes), self.setup.own_scratch()
