@@ -21,7 +21,7 @@ ROOMS = {
     "app": (25_326, 116),
     "estimation": (16_497, 69),
     "evaluation": (12_109, 46),
-    "experiments": (1_699, 8),
+    "experiments": (1_705, 8),
     "files": (1_149, 8),
     "formats": (13_063, 68),
     "library": (15_630, 56),
@@ -31,10 +31,10 @@ ROOMS = {
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 61_790,
-    "lines of JavaScript": 12_544,
+    "lines of tests": 61_809,
+    "lines of JavaScript": 12_547,
     "constants": 1_047,
-    "numeric constants without a source": 5,
+    "numeric constants without a source": 4,
     "functions over 60 lines": 14,
     "files over 650 lines": 0,
     "folders with more than 15 files": 0,

@@ -61,6 +61,13 @@ def session(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.parametrize("features", ["paper", "extended"])
+def test_the_table_says_what_was_tried_and_nothing_of_what_was_not(succeed, folder, features):
+    out, _ = succeed("--jobs", 1, "experiment", folder, "--system", "forest", "--trees", 5, "--features", features)
+    assert f"(half, 1 x, {features} features)" in " ".join(out.split())
+    assert "relational" not in out, "no motion templates were asked for"
+
+
 def test_takes_are_added_with_labels_and_listed(dousa, succeed, session, tmp_path):
     library = tmp_path / "a.dousa"
     code, out, _ = dousa("add", library, session, "--takes", "--labels", "beside")

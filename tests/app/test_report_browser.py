@@ -102,3 +102,13 @@ def test_two_sheets_of_paper_and_the_rest_if_it_lies_open(opening: str, most: in
     sheets = opened.driver.execute_cdp_cmd("Page.printToPDF", {"printBackground": True, "preferCSSPageSize": True})
     count = base64.b64decode(sheets["data"]).count(b"/Type /Page\n")
     assert (2 < count <= most) if opening else count <= most
+
+
+def test_what_is_chosen_on_the_screen_is_not_marked_on_paper(opened: Any) -> None:
+    opened.run("document.querySelector('.event').click()")
+    look = """const one = document.querySelector('.event[aria-current="true"]'), style = getComputedStyle(one);
+        return [style.boxShadow, style.backgroundColor]"""
+    screen = opened.wait(f"if (document.querySelector('.event[aria-current=\"true\"]')) {{ {look} }}")
+    opened.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    assert opened.run(look) == ["none", "rgba(0, 0, 0, 0)"] != screen
+    opened.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})

@@ -112,6 +112,7 @@ class ExperimentResult(Result):
     feature_seconds : time to compute the forest's features, once for all systems and repeats.
     relational_seconds : the same for the features of motion templates.
     compile_seconds : time to make the kernels ready before anything was timed.
+    feature_set : name of the forest's features.
     """
 
     systems: dict[str, SystemResult]
@@ -126,13 +127,16 @@ class ExperimentResult(Result):
     feature_seconds: float = 0.0
     relational_seconds: float = 0.0
     compile_seconds: float = 0.0
+    feature_set: str = ""
 
     def to_tables(self) -> tuple[ResultTable, ...]:
         """A row a system; below it what was counted how, and the forest's most frequent mistakes."""
         seconds = (self.feature_seconds, self.relational_seconds, self.compile_seconds)
+        templates = "motion_templates" in self.systems
         mistakes = self.systems["forest"].confusions if "forest" in self.systems else ()
         notes = [
-            Message("trial_recognition.how", features=seconds[0], relational=seconds[1], kernels=seconds[2]),
+            Message("trial_recognition.how", features=seconds[0], kernels=seconds[2]),
+            *([Message("trial_recognition.how_templates", relational=seconds[1])] if templates else ()),
             *(Message("trial_recognition.untrained", name=k, n=n) for k, n in self.untrained.items()),
             *(
                 Message("trial_recognition.mistake", true=one.truth, said=one.predicted, n=one.count)
@@ -151,6 +155,7 @@ class ExperimentResult(Result):
                     test=self.n_test,
                     split=self.split,
                     repeats=self.repeats,
+                    features=self.feature_set,
                 ),
                 notes=tuple(notes),
                 bold=frozenset(row for row, name in enumerate(self.systems) if name == "forest"),
@@ -257,6 +262,7 @@ def run_experiment(
         feature_seconds=material.feature_seconds,
         relational_seconds=material.relational_seconds,
         compile_seconds=compile_seconds,
+        feature_set=settings.feature_set.name,
     )
 
 

@@ -55,6 +55,8 @@ def test_from_files_to_a_grade(show, dances):
     page.wait("return document.querySelector('#performance .motion-name')?.textContent === 'dance_pupil.bvh'")
     page.find("#reference-file").send_keys("\n".join(map(str, takes)))
     page.wait("return document.querySelectorAll('#reference-list .motion').length === 3")
+    names = "return [...document.querySelectorAll('#reference-list .motion-name')].map((one) => one.textContent)"
+    assert page.run(names) == [take.name for take in takes], "in the order in which they were chosen"
     _grade(page)
     assert page.run("return document.querySelectorAll('#events [data-event]').length") >= 2
     assert "calibrated" in page.run("return document.querySelector('.grade .badge').textContent")

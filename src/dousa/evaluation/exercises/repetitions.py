@@ -38,7 +38,7 @@ from dousa.notebooks import Tabular, short_repr
 
 _NAN = float("nan")
 FEWEST_FOR_TREND = 6
-"""Complete repetitions: of fewer, no order is improbable enough for so many measures."""
+"""Complete repetitions: of fewer no order is improbable enough for so many measures, by definition of the test."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -62,14 +62,16 @@ const AT_ONCE = 4;
  *  onProgress(done, total), onBatch(name) as soon as there is one -> {batch (null if nothing was taken), files, refused: [{name, reason}]} */
 export async function uploadAll(entries, { batch = null, onProgress = () => {}, onBatch = () => {}, signal } = {}) {
   const answer = { batch, files: [], refused: [] };
+  const taken = []; // by place: those that end sooner keep the order in which they were chosen
   let [next, done] = [0, 0];
   const take = async () => {
-    const { file, path } = entries[next++];
+    const place = next++;
+    const { file, path } = entries[place];
     try {
       const came = await upload(file, { name: path, batch: answer.batch, signal });
       answer.batch = came.batch;
       onBatch(came.batch);
-      answer.files.push(...came.files);
+      taken[place] = came.files;
       answer.refused.push(...came.refused);
     } catch (error) {
       if (!(error instanceof Problem) || error.status === 0) throw error;
@@ -82,5 +84,6 @@ export async function uploadAll(entries, { batch = null, onProgress = () => {}, 
     while (next < entries.length) await take();
   };
   await Promise.all(Array.from({ length: AT_ONCE }, lane));
+  answer.files = taken.flat();
   return answer;
 }
