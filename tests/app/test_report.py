@@ -207,8 +207,8 @@ def test_every_picture_has_words_and_a_table(english: str) -> None:
         if tag == "img":
             assert attrs.get("alt")
     tables = [attrs for tag, attrs in reader.elements if tag == "table"]
-    # Segments, furi, one a figure, one a moment, events, lapses, seconds, gaps.
-    assert len(tables) == 2 + len(reader.with_class("shape-card")) + len(reader.with_class("moment")) + 4
+    # Segments, furi, one a figure, one a moment, events, lapses, gaps.
+    assert len(tables) == 2 + len(reader.with_class("shape-card")) + len(reader.with_class("moment")) + 3
     captions = [tag for tag, _ in reader.elements if tag == "caption"]
     assert len(captions) == len(tables)
 
