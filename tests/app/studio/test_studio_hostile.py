@@ -2,12 +2,12 @@
 
 import asyncio
 import io
-import json
 import socket
 import threading
 import time
 import zipfile
 from contextlib import ExitStack, suppress
+from types import SimpleNamespace
 
 import pytest
 
@@ -223,9 +223,10 @@ def test_a_gate_sends_away_whom_it_cannot_hold():
 
 
 def test_many_previews_do_not_take_all_threads(studio, monkeypatch):
-    go = threading.Event()
-    monkeypatch.setattr(lanes, "_run", lambda *_: (go.wait(PATIENCE), [json.dumps({"result": {}}).encode()])[1])
-    batch = send(studio, "a.bvh", GOOD)["batch"]
+    go, batch = threading.Event(), send(studio, "a.bvh", GOOD)["batch"]
+    process = SimpleNamespace(poll=lambda: 0, wait=lambda timeout=None: 0, stdin=None, stdout=None)
+    monkeypatch.setattr(lanes.Reader, "_begin", lambda reader: process)
+    monkeypatch.setattr(lanes, "_converse", lambda *_: (go.wait(PATIENCE), (True, {}))[1])
     codes = []
 
     def ask():
