@@ -10,9 +10,10 @@ average precision where
 - new categories: the forest knows half of the categories, the queries are of the other half;
 - variants: the forest learned what stands before the '/' of a category, relevant are clips of the same whole category.
 
-Every row is a triple of weights: of the histogram's distance / sqrt(2), of the leaves' distance, of the poses' distance
-(1 / body heights); poses are compared for all clips here. The package uses (1, 0.5, 8). With --dtw also a row of DTW on
-poses at 30 Hz, which learns nothing.
+Every row has four weights: of the histogram's distance / sqrt(2), of the leaves' distance, of the poses' distance (1 /
+body heights), and of 1 - cos of the angle between both clips in the space of poses; poses are compared for all clips
+here. The rankings use (1, 0.5, 8, 0), a library (1, 0.5, 8, 0.5). With --dtw also a row of DTW on poses at 30 Hz, which
+learns nothing.
 """
 
 from __future__ import annotations
@@ -24,19 +25,20 @@ from pathlib import Path
 import numpy as np
 
 from dousa.app.pipelines.experiment_clips import read_labelled_clips
-from dousa.experiments.runner import Split, leave_performer_out, split_half
+from dousa.experiments.runner import Split, fit_forest, leave_performer_out, make_forest, split_half
 from dousa.formats import ReadOptions
-from dousa.retrieval import MotionForest
 from dousa.retrieval.features.feature_sets import FEATURE_SETS
 from dousa.retrieval.features.posed_motion import LabelledClip
+from dousa.retrieval.forest.evidence import describe_strangers
+from dousa.retrieval.forest.pose_space import fit_pose_basis
 from dousa.retrieval.ranking.ranking import warp_distances
 from lab.ranking.dense import Gallery, rank_clips
 from lab.ranking.metrics import score_ranking
 from lab.ranking.systems import describe_clips
 
 WEIGHTS = (
-    (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 0.5, 0), (1, 0, 8), (1, 0.25, 8), (1, 0.5, 4), (1, 0.5, 8), (1, 0.5, 12),
-    (1, 1, 8), (2, 0.5, 8),
+    (1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (1, 0.5, 0, 0), (1, 0.5, 4, 0), (1, 0.5, 8, 0), (1, 0.5, 12, 0),
+    (1, 1, 8, 0), (1, 0.5, 8, 0.1), (1, 0.5, 8, 0.25), (1, 0.5, 8, 0.5), (1, 0.5, 8, 1),
 )  # fmt: skip
 
 
@@ -63,9 +65,9 @@ class Trials:
         if len(set(labels[train])) < 2:
             return
         spec, features = self.spec, self.material.features
-        forest = MotionForest(thresholds=spec.thresholds, random_state=seed, n_jobs=-1).fit(
-            features[train], labels[train], feature_set=spec
-        )
+        forest = make_forest(spec, 100, seed, -1)
+        fit_forest(forest, features, train, labels[train], self.material.copies, spec)
+        directions = self.point(train, labels[train])
         leaves = forest.apply(features).astype(np.int32)
         votes, poses = forest.histograms_of(leaves), self.material.sequences
         gallery = np.random.default_rng(seed).permutation(gallery)
@@ -73,19 +75,34 @@ class Trials:
         for query in queries:
             relevant = self.categories[gallery] == self.categories[query]
             answer = rank_clips("fused", (votes[query], leaves[query], poses[query]), clips, len(gallery))
-            distances = np.stack([answer.histogram / np.sqrt(2), answer.leaves, answer.pose])
+            angles = 1.0 - directions[gallery] @ directions[query]
+            distances = np.stack([answer.histogram / np.sqrt(2), answer.leaves, answer.pose, angles])
             orders = np.argsort(np.array(WEIGHTS) @ distances, axis=1, kind="stable")
             if self.warped is not None:
                 orders = np.vstack([orders, np.argsort(self.warped[query, gallery], kind="stable")])
             row = [score_ranking(relevant[order]).average_precision for order in orders]
             self.precisions.setdefault(name, []).append(np.array(row))
 
+    def point(self, train: np.ndarray, labels: np.ndarray) -> np.ndarray:
+        """(N, K) unit directions of all clips in the space of poses of some, as a library learns it."""
+        features, copies, strangers = (
+            self.material.features,
+            self.material.copies.of(train),
+            describe_strangers(self.spec),
+        )
+        assert strangers is not None
+        parts = [features[train], copies.features, strangers.beside]
+        basis = fit_pose_basis(parts, self.spec)
+        placed = np.concatenate([basis.place(part) for part in parts])
+        points = basis.fit(placed, np.append(labels, labels[copies.rows])).place(features)
+        return points / np.maximum(np.linalg.norm(points, axis=1, keepdims=True), 1e-9)
+
     def report(self) -> None:
-        print("weights      ", *(f"{name:>16}" for name in self.precisions))
+        print("weights          ", *(f"{name:>16}" for name in self.precisions))
         means = {name: np.nanmean(rows, axis=0) for name, rows in self.precisions.items()}
         rows = (*WEIGHTS, "DTW") if self.warped is not None else WEIGHTS
         for place, weights in enumerate(rows):
-            print(f"{weights!s:14}", *(f"{mean[place]:16.3f}" for mean in means.values()))
+            print(f"{weights!s:18}", *(f"{mean[place]:16.3f}" for mean in means.values()))
 
 
 def warp_all(poses: Sequence[np.ndarray]) -> np.ndarray:

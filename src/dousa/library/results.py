@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from dousa.retrieval.takes.label import Timeline
 
 # Many motions equal their mirror image, which must thus be clearly better: log odds, distance ratio, score.
-MIRROR_ODDS, MIRROR_DISTANCE, MIRROR_SCORE = 1.0, 0.95, 0.02
+MIRROR_ODDS, MIRROR_DISTANCE, MIRROR_SCORE = 2.0, 0.95, 0.02
 
 
 class Answer:
