@@ -45,6 +45,12 @@ def test_what_is_not_installed_is_named_with_its_extra(extra, code, tmp_path):
     assert f"pip install 'dousa[{extra}]'" in outcome.stderr
 
 
+@pytest.mark.parametrize("extra", ["film", "frames", "pictures", "studio", "share"])
+def test_all_that_the_readme_shows_comes_with_all(extra):
+    (names,) = PROJECT["optional-dependencies"]["all"]
+    assert extra in names.partition("[")[2].rstrip("]").split(",")
+
+
 def test_a_package_that_is_there_is_given():
     assert require("json", "film").loads("[1]") == [1]
 

@@ -31,7 +31,7 @@ ROOMS = {
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 61_810,
+    "lines of tests": 61_816,
     "lines of JavaScript": 12_547,
     "constants": 1_047,
     "numeric constants without a source": 4,

@@ -63,7 +63,7 @@ def evaluate(
     """Show what differs between a performance and its reference, where, and by how much.
 
     Four kinds of error are distinguished: another motion of the whole body,
-    another motion of a limb, motion not danced to the full, and wrong timing.
+    another motion of a limb, motion not carried out to the full, and wrong timing.
     With one REFERENCE take the grade is not calibrated.
 
     Example: dousa evaluate teacher_*.bvh --performance pupil.bvh -o report

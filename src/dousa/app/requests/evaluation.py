@@ -35,7 +35,7 @@ class EvaluationRequest:
         Mirrored,
         typer.Option(
             "--mirror",
-            help="Whether the performer faced the reference and danced its mirror image: yes, no, or auto, which "
+            help="Whether the performer faced the reference and did its mirror image: yes, no, or auto, which "
             "finds out.",
         ),
     ] = "auto"
