@@ -107,8 +107,8 @@ def search(library: Library, query: object, k: int, cosines: bool) -> SearchResu
 
     def search_blindly(groups: Sequence[Group], *asked):  # type: ignore[no-untyped-def]
         index = groups[0].index
-        names = np.random.default_rng(1).permutation(len(index.living)).astype(">u4")
-        ends = 4 * np.arange(1, len(names) + 1)
+        names = np.array([b"%08d" % place for place in np.random.default_rng(1).permutation(len(index.living))])
+        ends = names.itemsize * np.arange(1, len(names) + 1)
         parts = [
             replace(part, directions=None, path_ends=ends[: len(part)], path_bytes=names[a:b].view(np.uint8))
             for part, a, b in zip(index.parts, index.starts[:-1], index.starts[1:], strict=True)
