@@ -1,6 +1,7 @@
 """Errors of joint angles on films of made-up people, in degrees.
 
     python -m lab.trials.degrees --kept FOLDER [--mesh FOLDER] [--people tuned|kept] [--films N] [--views 4,2,1]
+        [--cues ...] [--noise 2,4,8]
 
 People of random shape and clothes (see `lab.trials.person_maker`; ``--mesh`` as in `lab.trials.made_people`) move
 before four phones that stand anywhere on a ring: 720 x 960 pixels, 30 Hz, rolled by up to 8 degrees, with a lens that
@@ -12,8 +13,9 @@ bends lines and the noise of a dim room. ``tuned`` wear recordings of HDM05's dg
 - silhouettes: our tracker, on masks of 240 x 320 with ragged edges and blots; the stature is told, the start is found;
 - plain: the same keypoints, triangulated linearly (with one view: the network's places in space, put where they fit the
   picture), smoothed at 6 Hz, and inverse kinematics of a body with the median lengths;
-- joints, and plain joints: likewise of points that are the joints themselves but for noise of 4 pixels, as of a network
-  other than BlazePose; several views only.
+- joints, and plain joints: likewise of points that are the joints themselves but for noise of ``--noise`` pixels (4),
+  as of a network other than BlazePose; several views only. Asked for these alone, people are made without pictures, and
+  no model is needed.
 
 Columns: mm of 12 joints, and with the hips in place; legs: mean of the knee's flexion and of the angle between thigh
 and trunk; arms: of elbow and upper arm likewise; then the coordinates of docs/opensim.md by joint, flexion and other
@@ -52,7 +54,7 @@ from lab.trials.made_people import Film, find_points, keep_film
 from lab.trials.person_maker import N_BODY, Mesh, draw_mask, list_kinds, make_parser, move_person, open_mesh
 
 _RATE, _FRAMES, _SIZE, _SMALL = 30.0, 45, (720, 960), 3
-_DIMNESS, _ROLL, _BEND, _STRAIGHT, _NOISE = 6.0, np.deg2rad(8.0), 0.12, 20.0, 4.0
+_DIMNESS, _ROLL, _BEND, _STRAIGHT = 6.0, np.deg2rad(8.0), 0.12, 20.0
 # fmt: off
 _PEOPLE = {
     "kept": ["hdm05/*/HDM_b[dk]_*.[aA][mM][cC]", "uiprmd/vicon/*/correct/*_s0[123]_*.trc"],
@@ -71,16 +73,19 @@ def make_film(
     motions: list[list[Path]],
     number: int,
     seed: int,
-    model: LandmarkModel = "heavy",
+    model: LandmarkModel | None = "heavy",
     n_frames: int = _FRAMES,
 ) -> dict[str, FloatArray]:
-    """One person before four phones: what is true, what the network finds, and masks."""
+    """One person before four phones: what is true, and what the network finds and masks, without a model neither."""
     rng = np.random.default_rng(seed + number)
     moved = move_person(mesh, motions[number % len(motions)], rng, _RATE, n_frames)
     distance = rng.uniform(3.2, 4.6) + 1.5 * max(0.0, moved.reach - 0.4)
     ring = make_ring(4, distance=distance, height=rng.uniform(0.8, 1.8), size=_SIZE, first_angle=rng.uniform(0, 6),
                      focal=rng.uniform(0.95, 1.2) * 0.3 * _SIZE[1] * distance)  # fmt: skip
     cameras = [_hold(camera, rng) for camera in ring]
+    if model is None:
+        size = (len(moved.turns), len(MEDIAPIPE_NAMES))
+        return keep_film(moved, cameras, [PersonTrack(np.full((*size, 2), np.nan), np.zeros(size))] * len(cameras))
     tracks = [find_points(camera, mesh, moved.person, moved.vertices, rng, _RATE, _DIMNESS, model)
               for camera in cameras]  # fmt: skip
     faces = mesh.faces[(mesh.faces < N_BODY).all(axis=1)]
@@ -171,10 +176,10 @@ def _bend(turned: FloatArray) -> FloatArray:
     return np.degrees(np.arccos(np.clip(turned[:, 1, 1], -1, 1)))
 
 
-def see_joints(film: Film, camera: Camera, seed: int) -> PersonTrack:
-    """The true joints in a picture, with noise."""
+def see_joints(film: Film, camera: Camera, seed: int, noise: float) -> PersonTrack:
+    """The true joints in a picture, with noise (px)."""
     points = camera.project(film.truth)
-    points = points + np.random.default_rng(seed).normal(0, _NOISE, points.shape)
+    points = points + np.random.default_rng(seed).normal(0, noise, points.shape)
     return PersonTrack(points, np.ones(points.shape[:2]), None)
 
 
@@ -215,11 +220,12 @@ def _triangulate(cameras: list[Camera], points: FloatArray, visibility: FloatArr
 
 
 def fit_film(film: Film, cue: str, views: list[int]) -> dict[str, FloatArray]:
-    """Errors of one way to fit."""
+    """Errors of one way to fit; of joints the last word is the noise in px."""
     cameras = [film.cameras[view] for view in views]
     tracks, points = [film.tracks[view] for view in views], MEDIAPIPE_NAMES
-    if cue.endswith("joints"):
-        tracks, points = [see_joints(film, film.cameras[view], view) for view in views], tuple(film.joints)
+    if "joints" in cue:
+        noise, points = float(cue.rsplit(maxsplit=1)[-1]), tuple(film.joints)
+        tracks = [see_joints(film, film.cameras[view], view, noise) for view in views]
     if cue.startswith("plain"):
         return measure(film, *fit_plainly(film, cameras, tracks, points))
     if cue != "silhouettes":
@@ -240,7 +246,7 @@ def print_table(films: dict[str, Film], cues: list[str], counts: list[int], *, e
     print("| views | cue | " + " | ".join(COLUMNS) + " | films |\n" + "| --- " * (len(COLUMNS) + 3) + "|")
     for count in counts:
         for cue in cues:
-            if count == 1 and cue.endswith("joints"):
+            if count == 1 and "joints" in cue:
                 continue
             rows, small = [], []
             for name, film in films.items():
@@ -267,18 +273,25 @@ def main() -> None:
     parser.add_argument("--films", type=int, default=12)
     parser.add_argument("--views", default="4,2,1")
     parser.add_argument("--cues", default="keypoints,silhouettes,plain,joints,plain joints")
+    parser.add_argument("--noise", default="4", help="of joints, px")
     parser.add_argument("--each", action="store_true", help="print every film too")
     given = parser.parse_args()
     kinds, films = list_kinds(given.data, _PEOPLE[given.people]), {}
+    cues = [f"{cue} {noise}" if cue.endswith("joints") else cue for cue in given.cues.split(",")
+            for noise in (given.noise.split(",") if cue.endswith("joints") else "1")]  # fmt: skip
+    bare = all("joints" in cue for cue in cues)
     for number in range(given.films):
-        path = given.kept / f"{given.people}_{number:03d}.npz"
+        path = given.kept / f"{given.people}{'_joints' * bare}_{number:03d}.npz"
         if not path.is_file():
             path.parent.mkdir(parents=True, exist_ok=True)
-            seed = 50_000 + 10_000 * list(_PEOPLE).index(given.people)
-            made = make_film(open_mesh(given.mesh), kinds, number, seed)
+            other = list(_PEOPLE).index(given.people)
+            if bare:
+                made = make_film(open_mesh(given.mesh), kinds, number, 61_000 - 30_000 * other, None, 30)
+            else:
+                made = make_film(open_mesh(given.mesh), kinds, number, 50_000 + 10_000 * other)
             np.savez_compressed(path, **made)  # type: ignore[arg-type]
         films[path.stem] = Film(dict(np.load(path)))
-    print_table(films, given.cues.split(","), [int(count) for count in given.views.split(",")], each=given.each)
+    print_table(films, cues, [int(count) for count in given.views.split(",")], each=given.each)
 
 
 if __name__ == "__main__":

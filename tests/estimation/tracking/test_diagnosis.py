@@ -214,7 +214,7 @@ def test_more_of_a_sign_is_never_less_doubt(sign):
     overlap[6] = np.nan
     notes = Note(overlap, points, parts, 0.0 * parts, points)
     for meet in (True, False):
-        assert min(WEIGHTS["silhouettes", meet]) >= 0.0 and len(WEIGHTS["silhouettes", meet]) == len(SIGNS)
+        assert min(WEIGHTS["silhouettes", 1 + meet]) >= 0.0 and len(WEIGHTS["silhouettes", 1 + meet]) == len(SIGNS)
         before = judge(setup, poses, notes, meet)
         changed = [values.copy() for values in notes]
         changed[sign - 1] += -0.3 if sign == 3 else 0.0 if sign == 1 else 0.3

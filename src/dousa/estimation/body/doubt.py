@@ -24,21 +24,24 @@ Cue = Literal["silhouettes", "keypoints"]
 SIGNS = ("always", "width", "bend", "step", "misfit", "hidden", "swap", "depth")
 """Of the doubt in a joint; see `list_signs`."""
 
-# Learned by python -m lab.training.train_doubt, by cue and whether lines of sight meet. Several views of keypoints: the
-# spread of the fit and the misfit as they are, which say fewer good frames than what is learned (docs/estimation.md).
-WEIGHTS: dict[tuple[Cue, bool], tuple[float, ...]] = {
-    ("silhouettes", True): (0.017, 0.823, 0.490, 0.298, 0.144, 0.060, 0.968, 0.058),
-    ("silhouettes", False): (0.109, 2.509, 0.0, 3.154, 0.673, 0.220, 0.0, 0.511),
-    ("keypoints", True): (0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0),
-    ("keypoints", False): (0.0, 0.557, 4.062, 0.0, 1.946, 0.191, 0.0, 0.196),
+# Learned by python -m lab.training.train_doubt, by cue and number of views: the most that is not more than there are.
+WEIGHTS: dict[tuple[Cue, int], tuple[float, ...]] = {
+    ("silhouettes", 1): (0.109, 2.509, 0.0, 3.154, 0.673, 0.220, 0.0, 0.511),
+    ("silhouettes", 2): (0.017, 0.823, 0.490, 0.298, 0.144, 0.060, 0.968, 0.058),
+    ("keypoints", 1): (0.0, 0.557, 4.062, 0.0, 1.946, 0.191, 0.0, 0.196),
+    ("keypoints", 2): (0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0),
+    ("keypoints", 3): (0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0),
 }
-SAID: dict[tuple[Cue, bool], float] = {
-    ("silhouettes", True): 0.068,
-    ("silhouettes", False): LOST_ERROR,
-    ("keypoints", True): 0.1,
-    ("keypoints", False): 0.125,
+SAID: dict[tuple[Cue, int], float] = {
+    ("silhouettes", 1): LOST_ERROR,
+    ("silhouettes", 2): 0.068,
+    ("keypoints", 1): np.inf,
+    ("keypoints", 2): 0.1,
+    ("keypoints", 3): 0.1,
 }
-"""m, expected mean error from which a frame is lost: that of 5 % of the good frames of lab.training.train_doubt."""
+"""m, expected mean error from which a frame is lost: that of 5 % of the good frames of lab.training.train_doubt.
+
+One view of keypoints finds no more of people left out than it says of good frames: nothing is said there."""
 
 
 class Doubt(NamedTuple):
@@ -94,10 +97,11 @@ def list_signs(
     )
 
 
-def judge(signs: FloatArray, seen: BoolArray, cue: Cue, meet: bool, stature: float) -> Doubt:
-    """Compute the doubt from signs (T, N, S); depth is known where the lines of sight ``meet``."""
-    expected = np.sqrt((np.array(WEIGHTS[cue, meet]) * signs) ** 2 @ np.ones(len(SIGNS)))
-    lost = np.asarray((expected.mean(axis=1) > SAID[cue, meet]) | ~seen)
+def judge(signs: FloatArray, seen: BoolArray, cue: Cue, n_views: int, stature: float) -> Doubt:
+    """Compute the doubt from signs (T, N, S) of so many views whose lines of sight meet."""
+    kind = max(kind for kind in WEIGHTS if kind[0] == cue and kind[1] <= max(n_views, 1))
+    expected = np.sqrt((np.array(WEIGHTS[kind]) * signs) ** 2 @ np.ones(len(SIGNS)))
+    lost = np.asarray((expected.mean(axis=1) > SAID[kind]) | ~seen)
     return Doubt(np.asarray(expected * stature / USUAL_STATURE), lost)
 
 

@@ -396,10 +396,10 @@ def _answer(
     errors, off = measure_errors(body, poses, landmarks, terms.seen, cameras)
     evidence = find_evidence(body, covariance, landmarks, terms.seen, off, exchanged)
     signs = list_signs(body, poses, terms.frame_rate, cameras[0].rotation[2], evidence)
-    meet = int(terms.seen.seen.any(axis=(1, 2)).sum()) > 1
-    doubt = judge(signs, evidence.seen, "keypoints", meet, body.stature)
+    n_views = int(terms.seen.seen.any(axis=(1, 2)).sum())
+    doubt = judge(signs, evidence.seen, "keypoints", n_views, body.stature)
     uncertainty, depth = doubt.errors, None
-    if not meet:
+    if n_views < 2:
         away = np.linalg.norm(compute_points(body, poses) - cameras[0].position, axis=-1)
         spread = float(np.hypot(DISTANCE_SPREAD, stature_sigma)) * away
         uncertainty, depth = np.hypot(uncertainty, spread), spread.mean(axis=1)

@@ -62,7 +62,7 @@ def list_signs(setup: SearchSetup, poses: FloatArray, notes: Note) -> FloatArray
 
 def judge(setup: SearchSetup, poses: FloatArray, notes: Note, meet: bool) -> Doubt:
     """Compute the doubt of consecutive poses (T, 7 + A); depth is known where the lines of sight ``meet``."""
-    return doubt.judge(list_signs(setup, poses, notes), _is_seen(notes), "silhouettes", meet, setup.body.stature)
+    return doubt.judge(list_signs(setup, poses, notes), _is_seen(notes), "silhouettes", 1 + meet, setup.body.stature)
 
 
 def _is_seen(notes: Note) -> BoolArray:
