@@ -311,3 +311,17 @@ def test_girths_are_fitted_where_the_person_is_seen(body, poses, cameras):
     thin = replace(body, spheres=body.spheres * (1.0, 1.0, 1.0, 0.8))
     fitted = fit_some_girths(thin, poses, PackedSilhouettes(masks, RATE, missing=missing), cameras)
     assert fitted.spheres[:, 3].mean() == pytest.approx(body.spheres[:, 3].mean(), rel=0.1)
+
+
+def test_an_interrupted_fit_goes_on_where_it_stopped(body, poses, cameras):
+    tracks = [replace(track, points=track.points[:24], visibility=track.visibility[:24], world=None)
+              for track in film(body, poses, cameras[:2])[0]]  # fmt: skip
+    given = {"body": body, "silhouettes": PackedSilhouettes(render(body, poses[:24], cameras[:2]), RATE)}
+    kept = []
+    whole = fit_keypoints(cameras[:2], tracks, NAMES, RATE, **given, window=12, margin=4,
+                          on_checkpoint=lambda make: kept.append(make()))  # fmt: skip
+    assert [(partial.stage, len(partial.poses)) for partial in kept] == [(0, 12), (0, 24), (1, 12), (1, 24)]
+    for partial in (kept[0], kept[2]):
+        again = fit_keypoints(cameras[:2], tracks, NAMES, RATE, **given, window=12, margin=4, resume=partial)
+        np.testing.assert_allclose(again.estimate.poses, whole.estimate.poses, atol=1e-9)
+        np.testing.assert_allclose(again.estimate.uncertainty, whole.estimate.uncertainty, atol=1e-9)

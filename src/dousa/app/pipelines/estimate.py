@@ -400,7 +400,7 @@ def estimate_person(
     ------
     KeypointError : too little is seen of the person.
     """
-    from dousa.estimation.multiview.keypoint_fit import fit_keypoints, fit_some_girths
+    from dousa.estimation.multiview.keypoint_fit import PartialFit, fit_keypoints, fit_some_girths
 
     if request.body is not None and request.stature is not None:
         raise OptionError("estimate.body_and_stature")
@@ -409,6 +409,8 @@ def estimate_person(
     silhouettes = PersonSilhouettes(films, person.members, request.sources, plates)
     if request.cues == "both" and not silhouettes.has_masks:
         raise OptionError("film_estimate.no_masks")
+    kept = PartialFile(request.outputs.first, _fingerprint_person(request, films, person, given))
+    done, note = kept.load(PartialFit)
     fit = fit_keypoints(
         films.cameras,
         person.tracks,
@@ -419,6 +421,8 @@ def estimate_person(
         sex=request.sex,
         silhouettes=silhouettes if silhouettes.has_masks and request.cues != "keypoints" else None,
         progress=report,
+        resume=done,
+        on_checkpoint=kept.save,
     )
     cameras, estimate = silhouettes.fit_cameras(films.cameras), fit.estimate
     if silhouettes.has_masks:
@@ -426,7 +430,7 @@ def estimate_person(
             body = fit_some_girths(estimate.body, estimate.poses, silhouettes, films.cameras)
             estimate = replace(estimate, body=body)
         estimate = measure_overlap(estimate, silhouettes, cameras)
-    warnings = [*films.warnings, *silhouettes.warnings, *notes]
+    warnings = [*films.warnings, *silhouettes.warnings, *notes, *(text for text in (note, kept.problem) if text)]
     if (has_plates(request) or films.masks) and not plates:
         warnings.append(Message("film_estimate.plates_unused"))
     warnings += describe_fit(fit, films.cameras, request.stature is not None)
@@ -436,9 +440,29 @@ def estimate_person(
         watcher.end(estimate)
     with silhouettes:
         written = write_outputs(request.outputs, estimate, silhouettes, cameras, report)
+    kept.remove()
     words = _body_words(request, estimate)
-    return Estimation(estimate, films.names, words, Message("estimate.start_keypoints"), films.first_frame, 0, written,
-                      tuple(dict.fromkeys(warnings)))  # fmt: skip
+    resumed = 0 if done is None else len(done.poses)
+    return Estimation(estimate, films.names, words, Message("estimate.start_keypoints"), films.first_frame, resumed,
+                      written, tuple(dict.fromkeys(warnings)))  # fmt: skip
+
+
+def _fingerprint_person(
+    request: EstimationRequest, films: FilmScene, person: MatchedPerson, body: BodyModel | None
+) -> str:
+    import dousa
+
+    tracks = [[] if track is None else [track.points, track.visibility] for track in person.tracks]
+    return fingerprint(
+        {
+            "version": dousa.__version__,
+            "files": describe_files((*request.sources, *request.backgrounds, *films.masks)),
+            "cameras": [[camera.to_row(), camera.width, camera.height] for camera in films.cameras],
+            "keypoints": [list(films.found[0].names), films.moments, films.offsets, tracks],
+            "body": [request.stature, request.sex, request.cues, request.background_method, request.kind],
+            "given": [] if body is None else [body],
+        }
+    )
 
 
 def _body_words(request: EstimationRequest, estimate: Estimate) -> Message:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from itertools import combinations, pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray, IndexArray, Mask
 from dousa.estimation.body.body import BodyModel
@@ -17,8 +18,13 @@ from dousa.estimation.cameras.camera import Camera
 from dousa.estimation.multiview.landmarks import Landmarks
 from dousa.estimation.multiview.triangulation import pixels_per_metre, project_slope
 
+CONTOUR_POINTS = 96
+"""Points of a contour: one every 2 % of a stature or so."""
 
-def trace_contour(mask: Mask | None, size: tuple[int, int], count: int = 96, least: float = 0.1) -> FloatArray:
+
+def trace_contour(
+    mask: Mask | None, size: tuple[int, int], count: int = CONTOUR_POINTS, least: float = 0.1
+) -> FloatArray:
     """Return ``count`` points (count, 2) of a mask's contours, px of a picture of ``size``; nan where there are none.
 
     Pieces below the share ``least`` of the largest one are specks; points at the edge of the picture are no outline.
@@ -67,7 +73,7 @@ def list_cones(body: BodyModel) -> Cones:
 
 
 def contour_errors(
-    camera: Camera, cones: Cones, points: FloatArray, places: FloatArray, slopes: FloatArray
+    camera: Camera, cones: Cones, points: NDArray[np.floating], places: FloatArray, slopes: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Compute how far (T, C) m points lie outside the body, nan where unknown, and their slopes (T, C, D).
 

@@ -13,6 +13,7 @@ from itertools import pairwise
 from time import perf_counter
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dousa.arrays import BoolArray, FloatArray, IndexArray
 from dousa.errors import BodyModelError, KeypointError, SilhouetteError
@@ -24,7 +25,7 @@ from dousa.estimation.body.posing import fit_poses, standing_state
 from dousa.estimation.cameras.camera import Camera
 from dousa.estimation.keypoints.keypoints import PersonTrack
 from dousa.estimation.multiview.body_fit import BodyParameters, FittedBody, fit_body_parameters, fit_trajectory
-from dousa.estimation.multiview.contours import trace_contour
+from dousa.estimation.multiview.contours import CONTOUR_POINTS, trace_contour
 from dousa.estimation.multiview.keypoint_doubt import DISTANCE_SPREAD, VISIBLE, find_evidence, measure_errors
 from dousa.estimation.multiview.landmarks import (
     BREADTHS,
@@ -48,6 +49,9 @@ from dousa.motion.resampling import fill_gaps
 
 _MEASURES = ("upper_arm", "forearm", "thigh", "shank", "trunk", "shoulder_breadth", "hip_breadth", "head", "foot")
 _STATURE_SIGMA, _GIVEN_SIGMA, _MEASURE_SIGMA = 0.03, 0.01, 0.06  # of logarithms
+# Points at hips and shoulders alone do not show how far the pelvis tilts. In recordings the trunk keeps to a share of its
+# range half as large as limbs do (lab/notes/estimation.md), which is four times the cost.
+_STIFF_TRUNK = 4.0
 _MOVED = {"hip": "thigh", "shoulder": "upper_arm"}  # joints that no length of a limb places, by the part that they turn
 _BONES = (("hip", "knee", "thigh"), ("knee", "ankle", "shank"), ("shoulder", "elbow", "upper_arm"),
           ("elbow", "wrist", "forearm"))  # fmt: skip
@@ -80,6 +84,27 @@ class KeypointFit:
         return place_points(self.estimate.body, self.estimate.poses, self.landmarks)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PartialFit:
+    """What an interrupted fit has done.
+
+    Parameters
+    ----------
+    stage : 0 while keypoints alone are fitted, 1 with contours too.
+    before : (T, 7 + A) poses of the stage before; without one (0, 7 + A).
+    poses, covariance : (N, 7 + A), and (N, P + K, 3, 3) m^2 of the joints, of the first frames in this stage.
+    """
+
+    stage: int
+    before: FloatArray
+    poses: FloatArray
+    covariance: FloatArray
+
+
+Checkpoint = Callable[[Callable[[], PartialFit]], None]
+"""Takes what makes a `PartialFit`, and may leave it."""
+
+
 def fit_keypoints(
     cameras: Sequence[Camera],
     tracks: Sequence[PersonTrack | None],
@@ -93,6 +118,8 @@ def fit_keypoints(
     progress: Progress | None = None,
     window: int = 600,
     margin: int = 60,
+    resume: PartialFit | None = None,
+    on_checkpoint: Checkpoint | None = None,
 ) -> KeypointFit:
     """Fit a body to one person's keypoints.
 
@@ -111,6 +138,8 @@ def fit_keypoints(
         are fitted too, and the girths of the body.
     progress : called with steps done, steps in all and the current step.
     window, margin : frames that are fitted at once, and shared with the next: fewer take less memory.
+    resume : what a run with the same arguments had done.
+    on_checkpoint : called after each window with what makes a `PartialFit`.
 
     Raises
     ------
@@ -129,13 +158,19 @@ def fit_keypoints(
     poses, determined = _first_poses(given, places, seen.names, frame_rate)
     one = len(shown) == 1  # weight and ease were chosen on the films of lab/trials/made_people.py
     terms = Terms(cameras, seen, frame_rate, *((1.0, 4.0) if one else ()))
+    if not lie_beside_joints(names):
+        terms = replace(terms, trunk=_STIFF_TRUNK)
     own, landmarks, lengths = _find_body(given, body is None, stature, sex, poses, determined, terms)
     tell(2, 4, Message("multiview.fitting"))
-    poses, covariance = _fit_in_windows(own, poses, landmarks, terms, tell, window, margin)
+    windows = _Windows(window, margin, tell, resume, on_checkpoint or (lambda make: None))
+    if resume is not None and resume.stage > 0:
+        poses = resume.before
+    else:
+        poses, covariance = windows.fit(0, own, poses, landmarks, terms)
     if silhouettes is not None:
         own = fit_some_girths(own, poses, silhouettes, cameras)
         terms = replace(terms, contours=_trace_contours(silhouettes, cameras))
-        poses, covariance = _fit_in_windows(own, poses, landmarks, terms, tell, window, margin)
+        poses, covariance = windows.fit(1, own, poses, landmarks, terms)
     sigma = _STATURE_SIGMA if body is None and stature is None else 0.0
     return _answer((own, landmarks, lengths), (poses, covariance), terms, exchanged, begun, sigma)
 
@@ -344,12 +379,13 @@ def fit_some_girths(
         return body
 
 
-def _trace_contours(silhouettes: Silhouettes, cameras: Sequence[Camera]) -> FloatArray:
+def _trace_contours(silhouettes: Silhouettes, cameras: Sequence[Camera]) -> NDArray[np.float32]:
     """Return points (V, T, C, 2) of the contours, px of the cameras' pictures."""
-    sizes = [camera.size for camera in cameras]
-    traced = [[trace_contour(mask, size) for mask, size in zip(silhouettes.read(frame), sizes, strict=True)]
-              for frame in range(silhouettes.n_frames)]  # fmt: skip
-    return np.swapaxes(np.array(traced), 0, 1)
+    contours = np.full((silhouettes.n_views, silhouettes.n_frames, CONTOUR_POINTS, 2), np.nan, np.float32)
+    for frame in range(silhouettes.n_frames):
+        for view, (mask, camera) in enumerate(zip(silhouettes.read(frame), cameras, strict=True)):
+            contours[view, frame] = trace_contour(mask, camera.size)
+    return contours  # 1e-4 px is enough, and half the memory of a long film
 
 
 def _usual_body(stature: float, sex: str) -> BodyModel:
@@ -363,22 +399,36 @@ def _usual_measures(stature: float, sex: str, sizes: Mapping[str, float]) -> dic
     return {name: stature * shares[name] * factors.get(name, 1.0) * size for name, size in sizes.items()}
 
 
-def _fit_in_windows(
-    body: BodyModel, start: FloatArray, landmarks: Landmarks, terms: Terms, tell: Progress, window: int, margin: int
-) -> tuple[FloatArray, FloatArray]:
-    """Return poses (T, 7 + A) and covariance (T, P + K, 3, 3) m^2 of the joints, by windows to limit memory."""
-    n_frames = len(start)
-    poses, covariance = [], []
-    edges = [*range(0, max(n_frames - window // 2, 1), window), n_frames]
-    for begin, end in pairwise(edges):
-        tell(begin, n_frames, Message("multiview.fitting"))
-        first, last = max(0, begin - margin), min(n_frames, end + margin)
-        whole = slice(first, last)
-        fitted, doubt = fit_trajectory(body, start[whole], landmarks, terms.cut(whole))
-        kept = slice(begin - first, end - first)
-        poses.append(fitted[kept])
-        covariance.append(_joint_covariance(body, poses[-1], doubt[kept]))
-    return np.concatenate(poses), np.concatenate(covariance)
+@dataclass(frozen=True, slots=True)
+class _Windows:
+    """The fit of a film by windows, to limit memory; the arguments are those of `fit_keypoints`."""
+
+    window: int
+    margin: int
+    tell: Progress
+    resume: PartialFit | None
+    save: Checkpoint
+
+    def fit(
+        self, stage: int, body: BodyModel, start: FloatArray, landmarks: Landmarks, terms: Terms
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return poses (T, 7 + A) and covariance (T, P + K, 3, 3) m^2 of the joints."""
+        n_frames, done = len(start), self.resume if self.resume is not None and self.resume.stage == stage else None
+        poses, covariance = ([], []) if done is None else ([done.poses], [done.covariance])
+        before = start if stage else start[:0]
+        edges = [*range(0, max(n_frames - self.window // 2, 1), self.window), n_frames]
+        for begin, end in pairwise(edges):
+            if done is not None and end <= len(done.poses):
+                continue
+            self.tell(begin, n_frames, Message("multiview.fitting"))
+            first, last = max(0, begin - self.margin), min(n_frames, end + self.margin)
+            whole = slice(first, last)
+            fitted, doubt = fit_trajectory(body, start[whole], landmarks, terms.cut(whole))
+            kept = slice(begin - first, end - first)
+            poses.append(fitted[kept])
+            covariance.append(_joint_covariance(body, poses[-1], doubt[kept]))
+            self.save(lambda: PartialFit(stage, before, np.concatenate(poses), np.concatenate(covariance)))
+        return np.concatenate(poses), np.concatenate(covariance)
 
 
 def _answer(

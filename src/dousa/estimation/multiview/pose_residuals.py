@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray, IndexArray
 from dousa.estimation.body.body import BodyModel
@@ -119,6 +120,7 @@ class Terms:
     frame_rate : Hz.
     world_weight : weight of the network's own places in space, 0 to 1.
     ease : factor of the pull of joints to their neutral angles.
+    trunk : further factor of that of the trunk.
     lasting : s, over which the errors of a network's points stay much the same.
     world_lasting : s, likewise of its places in space.
     tail : degrees of freedom of Student's t: the fewer, the less points count that are far off.
@@ -132,10 +134,11 @@ class Terms:
     frame_rate: float
     world_weight: float = 0.0
     ease: float = 1.0
+    trunk: float = 1.0
     lasting: float = 0.1
     world_lasting: float = 0.3
     tail: float = 4.0
-    contours: FloatArray | None = None
+    contours: NDArray[np.floating] | None = None
     contour_sigma: float = 0.012
     contour_weight: float = 0.3
 
@@ -265,12 +268,10 @@ def _add_world(
                  share * np.where(known, costs, 0.0).sum(axis=1))  # fmt: skip
 
 
-def angle_rest(body: BodyModel, rest: float = 0.8, trunk: float = 4.0) -> tuple[FloatArray, FloatArray]:
-    """Return neutral angles (A,), and the cost of a squared radian off them.
+def angle_rest(body: BodyModel, rest: float = 0.8, trunk: float = 1.0) -> tuple[FloatArray, FloatArray]:
+    """Return neutral angles (A,), and the cost of a squared radian off them, ``trunk`` times as much for the trunk.
 
-    One sigma of a joint of stiffness 1 is the share ``rest`` of half its range. The trunk costs ``trunk`` times as
-    much: in recordings it keeps to a share of its range half as large as limbs do (lab/notes/estimation.md), and points
-    at hips and shoulders alone do not show how far the pelvis tilts beneath it.
+    One sigma of a joint of stiffness 1 is the share ``rest`` of half its range.
     """
     ease, cost = [], []
     for name, stiffness, limits, neutral, count in zip(
@@ -286,7 +287,7 @@ def _add_angles(sums: _Equations, body: BodyModel, poses: FloatArray, terms: Ter
     """Add limits and ease of the joints; ``limit`` rad beyond a limit are one sigma."""
     angles, limits = poses[:, 7:], body.angle_limits
     beyond = angles - np.clip(angles, limits[:, 0], limits[:, 1])
-    ease, rest = angle_rest(body)
+    ease, rest = angle_rest(body, trunk=terms.trunk)
     off, rest = angles - ease, terms.ease * terms.share * rest
     hard = terms.share * (beyond != 0) / limit**2
     rows = np.arange(6, sums.square.shape[1])
