@@ -49,8 +49,8 @@ from dousa.motion.resampling import fill_gaps
 
 _MEASURES = ("upper_arm", "forearm", "thigh", "shank", "trunk", "shoulder_breadth", "hip_breadth", "head", "foot")
 _STATURE_SIGMA, _GIVEN_SIGMA, _MEASURE_SIGMA = 0.03, 0.01, 0.06  # of logarithms
-# Points at hips and shoulders alone do not show how far the pelvis tilts. In recordings the trunk keeps to a share of its
-# range half as large as limbs do (lab/notes/estimation.md), which is four times the cost.
+# Points at hips and shoulders alone do not show how far the pelvis tilts. In recordings the trunk keeps to a share of
+# its range half as large as limbs do (lab/notes/estimation.md), which is four times the cost.
 _STIFF_TRUNK = 4.0
 _MOVED = {"hip": "thigh", "shoulder": "upper_arm"}  # joints that no length of a limb places, by the part that they turn
 _BONES = (("hip", "knee", "thigh"), ("knee", "ankle", "shank"), ("shoulder", "elbow", "upper_arm"),
@@ -158,7 +158,7 @@ def fit_keypoints(
     poses, determined = _first_poses(given, places, seen.names, frame_rate)
     one = len(shown) == 1  # weight and ease were chosen on the films of lab/trials/made_people.py
     terms = Terms(cameras, seen, frame_rate, *((1.0, 4.0) if one else ()))
-    if not lie_beside_joints(names):
+    if not lie_beside_joints(seen.names):
         terms = replace(terms, trunk=_STIFF_TRUNK)
     own, landmarks, lengths = _find_body(given, body is None, stature, sex, poses, determined, terms)
     tell(2, 4, Message("multiview.fitting"))
