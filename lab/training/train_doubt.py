@@ -10,7 +10,7 @@ from legs or arms exchanged, so that there is something to find. Keypoints: film
 BlazePose's heavy and full models in turn, with and without the network's masks, and noisy (6 px, a tenth of the
 points not seen); with one view errors are those of the posture (hips in place), and the spread of the distance is
 printed by itself. Several views are also spoilt, by one that is late or whose camera is turned. Prints the weights
-(`dousa.estimation.body.doubt.WEIGHTS`), by cue and number of views, and the curve: how many of the frames off by more
+(`dousa.estimation.body.doubt.WEIGHTS`), by cue and for one view or more, and the curve: how many of the frames off by more
 than 150 mm are found when so many of the others are said too; for the people it learns from, each by what the others
 teach, and for people, shapes and recordings left out (HDM05's dg, Bandai Namco's walking and running). Beside it the
 plainest way: the root mean square of the misfit (of keypoints, the reprojection error) alone, from what 5 % of the
@@ -185,8 +185,7 @@ def fit(film: Film, count: int, what: str) -> Tracked:
         truth = truth + (own - true)[:, None]
     errors = np.full(points.shape[:2], np.nan)
     errors[:, rows] = np.linalg.norm(points[:, rows] - truth, axis=-1)
-    return Tracked(found.signs, errors, ("keypoints", min(count, 3)), f"{what}, {count}",
-                   usual=what not in ("late", "turned"), away=away)  # fmt: skip
+    return Tracked(found.signs, errors, ("keypoints", min(count, 2)), f"{what}, {count}", away=away)
 
 
 def blur(track: PersonTrack, rng: np.random.Generator) -> PersonTrack:
@@ -313,8 +312,8 @@ def fit_all(given: argparse.Namespace, people: str, number: int) -> list[Tracked
             own = fit(film, views, what)
             np.savez_compressed(path, signs=own.signs, errors=own.errors, away=own.away)
         with np.load(path) as kept:
-            found.append(Tracked(kept["signs"], kept["errors"], ("keypoints", min(views, 3)), f"{what}, {views}",
-                                 usual=what not in ("late", "turned"), away=kept["away"]))  # fmt: skip
+            found.append(Tracked(kept["signs"], kept["errors"], ("keypoints", min(views, 2)), f"{what}, {views}",
+                                 away=kept["away"]))  # fmt: skip
     return found
 
 

@@ -24,20 +24,18 @@ Cue = Literal["silhouettes", "keypoints"]
 SIGNS = ("always", "width", "bend", "step", "misfit", "hidden", "swap", "depth")
 """Of the doubt in a joint; see `list_signs`."""
 
-# Learned by python -m lab.training.train_doubt, by cue and number of views: the most that is not more than there are.
+# Learned by python -m lab.training.train_doubt, by cue and for one view or more.
 WEIGHTS: dict[tuple[Cue, int], tuple[float, ...]] = {
     ("silhouettes", 1): (0.109, 2.509, 0.0, 3.154, 0.673, 0.220, 0.0, 0.511),
     ("silhouettes", 2): (0.017, 0.823, 0.490, 0.298, 0.144, 0.060, 0.968, 0.058),
-    ("keypoints", 1): (0.0, 0.557, 4.062, 0.0, 1.946, 0.191, 0.0, 0.196),
-    ("keypoints", 2): (0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0),
-    ("keypoints", 3): (0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0),
+    ("keypoints", 1): (0.0, 0.594, 2.817, 0.0, 1.292, 0.142, 0.0, 0.247),
+    ("keypoints", 2): (0.018, 0.260, 0.0, 0.0, 0.613, 0.028, 0.088, 0.0),
 }
 SAID: dict[tuple[Cue, int], float] = {
     ("silhouettes", 1): LOST_ERROR,
     ("silhouettes", 2): 0.068,
     ("keypoints", 1): np.inf,
-    ("keypoints", 2): 0.1,
-    ("keypoints", 3): 0.1,
+    ("keypoints", 2): 0.105,
 }
 """m, expected mean error from which a frame is lost: that of 5 % of the good frames of lab.training.train_doubt.
 
@@ -58,7 +56,8 @@ class Evidence(NamedTuple):
     ----------
     seen : (T,) frames in which there is anything.
     width : (T, N) m, how far each can move while the observations fit nearly as well.
-    misfit : (T, N) share of the part outside the silhouettes, or m^2 by which keypoints nearby are off.
+    misfit : (T, N) share of the part outside the silhouettes, or m^2 by which keypoints nearby are off per degree of
+        freedom.
     hidden : (T, N) share that no view shows.
     swap : (T, N) how far it goes with limbs exchanged (m), or the share of views whose sides were exchanged.
     """
@@ -99,7 +98,7 @@ def list_signs(
 
 def judge(signs: FloatArray, seen: BoolArray, cue: Cue, n_views: int, stature: float) -> Doubt:
     """Compute the doubt from signs (T, N, S) of so many views whose lines of sight meet."""
-    kind = max(kind for kind in WEIGHTS if kind[0] == cue and kind[1] <= max(n_views, 1))
+    kind = (cue, min(max(n_views, 1), 2))
     expected = np.sqrt((np.array(WEIGHTS[kind]) * signs) ** 2 @ np.ones(len(SIGNS)))
     lost = np.asarray((expected.mean(axis=1) > SAID[kind]) | ~seen)
     return Doubt(np.asarray(expected * stature / USUAL_STATURE), lost)

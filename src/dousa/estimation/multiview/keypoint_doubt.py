@@ -59,7 +59,9 @@ def find_evidence(
     apart = compute_points(body, pose)[:, None] - place_points(body, pose, landmarks)[None]
     near = np.linalg.norm(apart, axis=2).argmin(axis=1)
     shown = (seen.visibility > VISIBLE) & np.isfinite(off)
-    squares = np.where(shown, np.nan_to_num(off) ** 2, 0.0).sum(axis=0) / np.maximum(shown.sum(axis=0), 1)
+    # A point takes three of its two coordinates a view: so counted, errors mean the same with any number of views.
+    free = np.where(shown.sum(axis=0) > 1, shown.sum(axis=0) - 1.5, 1.0)
+    squares = np.where(shown, np.nan_to_num(off) ** 2, 0.0).sum(axis=0) / free
     needed = min(2, len(off))
     hidden = 1.0 - np.sort(seen.visibility, axis=0)[-needed]
     swap = np.repeat(exchanged.mean(axis=(0, 2))[:, None], len(near), axis=1)
