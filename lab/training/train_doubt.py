@@ -10,11 +10,11 @@ from legs or arms exchanged, so that there is something to find. Keypoints: film
 BlazePose's heavy and full models in turn, with and without the network's masks, and noisy (6 px, a tenth of the
 points not seen); with one view errors are those of the posture (hips in place), and the spread of the distance is
 printed by itself. Several views are also spoilt, by one that is late or whose camera is turned. Prints the weights
-(`dousa.estimation.body.doubt.WEIGHTS`), by cue and for one view or more, and the curve: how many of the frames off by more
-than 150 mm are found when so many of the others are said too; for the people it learns from, each by what the others
-teach, and for people, shapes and recordings left out (HDM05's dg, Bandai Namco's walking and running). Beside it the
-plainest way: the root mean square of the misfit (of keypoints, the reprojection error) alone, from what 5 % of the
-good frames of the same people exceed. What is made is kept, and so are the fits of films; some 15 s a clip on one
+(`dousa.estimation.body.doubt.WEIGHTS`), by cue and for one view or more, and the curve: how many of the frames off by
+more than 150 mm are found when so many of the others are said too; for the people it learns from, each by what the
+others teach, and for people, shapes and recordings left out (HDM05's dg, Bandai Namco's walking and running). Beside
+it the plainest way: the root mean square of the misfit (of keypoints, the reprojection error) alone, from what 5 % of
+the good frames of the same people exceed. What is made is kept, and so are the fits of films; some 15 s a clip on one
 core, 60 s a film.
 """
 
