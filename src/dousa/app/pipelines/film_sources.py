@@ -77,13 +77,17 @@ def is_keypoints(path: Path) -> bool:
 def holds_masks(path: Path) -> bool:
     """Whether a source that holds no keypoints is a file, folder or film of masks."""
     from dousa.estimation.silhouettes.images import find_mask_folders
+    from dousa.files.npz_arrays import open_npz
 
-    if not path.is_dir():
-        return path.suffix.lower() == ".npz" or shows_masks(path)
     try:
-        return bool(find_mask_folders(path))
-    except SilhouetteError:
-        return False
+        if path.is_dir():
+            return bool(find_mask_folders(path))
+        if path.suffix.lower() == ".npz":
+            with open_npz(path, SilhouetteError) as arrays:
+                return not {"mask_packed", "mask", "masks"}.isdisjoint(arrays.names)
+        return shows_masks(path)
+    except (OSError, SilhouetteError):
+        return False  # its reader describes the problem
 
 
 def shows_masks(path: Path) -> bool:
