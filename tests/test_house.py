@@ -18,8 +18,8 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_326, 116),
-    "estimation": (16_497, 69),
+    "app": (25_354, 116),
+    "estimation": (16_559, 69),
     "evaluation": (12_109, 46),
     "experiments": (1_705, 8),
     "files": (1_149, 8),
@@ -31,11 +31,11 @@ ROOMS = {
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 61_816,
+    "lines of tests": 61_830,
     "lines of JavaScript": 12_547,
-    "constants": 1_047,
-    "numeric constants without a source": 4,
-    "functions over 60 lines": 14,
+    "constants": 1_049,
+    "numeric constants without a source": 5,
+    "functions over 60 lines": 15,
     "files over 650 lines": 0,
     "folders with more than 15 files": 0,
     "lines with words that a native reader stumbles over": 61,
