@@ -313,7 +313,7 @@ def _summarise(
 ) -> dict[str, float | None]:
     """Some measures of what is known of the values; None where nothing is."""
     known = values[np.isfinite(values)]
-    return {name: round_number(take(known), digits) if len(known) else None for name, take in measures.items()}
+    return {name: round_number(float(take(known)), digits) if len(known) else None for name, take in measures.items()}
 
 
 _TEMPO_OFF, _TEMPO_BETTER = 0.04, 0.8
