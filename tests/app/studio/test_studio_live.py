@@ -140,6 +140,7 @@ def test_who_is_followed_stays_so_though_another_is_nearer_or_larger():
     assert live.choose_person(passing, first)["stretch"] == 1
     found_again = np.concatenate([sighting(3, 310.0, 120.0), left])
     assert live.choose_person(found_again, first)["stretch"] == 3
+    assert live.choose_person(left, first, {0}) is None  # who was seen beside that person is another
 
 
 @pytest.mark.parametrize(("seconds", "models"), [(0.0, ["full"]), (0.2, ["full", "lite"])])
@@ -164,3 +165,27 @@ def test_a_model_that_does_not_keep_up_gives_way_to_the_quickest(monkeypatch, se
     for _ in range(40):
         assert find(np.zeros((4, 4, 3), np.uint8)) is not None
     assert opened == models
+
+
+def test_who_passes_in_front_is_not_followed_and_a_new_follower_counts_anew(monkeypatch):
+    one, other = sighting(0, 100.0, 120.0), sighting(1, 300.0, 80.0)
+    swapped = np.concatenate([sighting(0, 300.0, 80.0), sighting(1, 100.0, 120.0)])
+    pictures = [np.concatenate([one, other]), other, np.concatenate([sighting(2, 110.0, 120.0), other]), swapped]
+
+    class Follower:
+        def __init__(self, *given):
+            pass
+
+        def see(self, frame, picture):
+            return pictures.pop(0)
+
+    monkeypatch.setattr(live, "choose_model", lambda: "full")
+    monkeypatch.setattr("dousa.estimation.keypoints.people.PeopleFollower", Follower)
+    monkeypatch.setattr("dousa.estimation.keypoints.pose_networks.PersonDetector", lambda threads: None)
+    monkeypatch.setattr("dousa.estimation.keypoints.pose_networks.LandmarkNetwork", lambda model, threads: model)
+    monkeypatch.setattr("dousa.estimation.keypoints.pose_models.check_pose_model", lambda model: "installed")
+    find = live.PersonFinder(rate=1e9, looks=3)
+    nothing, followed = np.zeros((4, 4, 3), np.uint8), []
+    while pictures:
+        followed.append(None if find(nothing) is None else float(find._last["crop"][0]))
+    assert followed == [100.0, None, 110.0, 100.0]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import secrets
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -70,11 +70,16 @@ def choose_model() -> LandmarkModel:
     return chosen
 
 
-def choose_person(rows: NDArray[np.void], last: np.void | None) -> np.void:
-    """Choose the person to follow among those in a picture (P,) of `SIGHTING`.
+def choose_person(rows: NDArray[np.void], last: np.void | None, others: Collection[int] = ()) -> np.void | None:
+    """Choose the person to follow among those in a picture (P,) of `SIGHTING`; None if there is nobody.
 
-    That is who was followed in the ``last`` picture, or else who is nearest to there; at first who looks largest.
+    That is who was followed in the ``last`` picture, or else who is nearest to there, but none of the stretches
+    ``others``, who were seen beside that person; at first who looks largest.
     """
+    if last is not None:
+        rows = rows[~np.isin(rows["stretch"], list(others))]
+    if not len(rows):
+        return None
     if last is None:
         place = int(rows["crop"][:, 2].argmax())
     else:
@@ -92,7 +97,7 @@ class PersonFinder:
     rate : pictures a second below which the quickest model takes over, if it is installed; a slower one trails behind
         what is done.
     looks : pictures of which the median time counts.
-    lost_for : pictures without anybody after which whoever looks largest is followed.
+    lost_for : pictures without that person after which whoever looks largest is followed.
     """
 
     def __init__(self, *, rate: float = 12.0, looks: int = 12, lost_for: int = 20) -> None:
@@ -100,6 +105,7 @@ class PersonFinder:
         self._most_s, self._looks, self._lost_for = 1.0 / rate, looks, lost_for
         self._took: list[float] = []
         self._last: np.void | None = None
+        self._others: set[int] = set()
         self._n_seen = self._n_lost = 0
         self._open()
 
@@ -111,20 +117,21 @@ class PersonFinder:
         self._follower = PeopleFollower(PersonDetector(None), LandmarkNetwork(self._model, None), 2)
 
     def __call__(self, picture: Image) -> Seen | None:
-        """Find the person in the next picture (H, W, 3) red, green, blue; None if there is nobody."""
+        """Find the person in the next picture (H, W, 3) red, green, blue; None if that person is not seen."""
+        if len(self._took) == self._looks and np.median(self._took) > self._most_s and self._model != QUICKEST:
+            self._hurry()
         begun = time.perf_counter()
         rows = self._follower.see(self._n_seen, picture)
         self._n_seen += 1
         self._took = [*self._took[-self._looks + 1 :], time.perf_counter() - begun]
-        if len(self._took) == self._looks and np.median(self._took) > self._most_s and self._model != QUICKEST:
-            self._hurry()
-        if not len(rows):
+        row = choose_person(rows, self._last, self._others)
+        if row is None:
             self._n_lost += 1
             if self._n_lost > self._lost_for:
-                self._last = None
+                self._last, self._others = None, set()
             return None
-        self._n_lost, self._last = 0, choose_person(rows, self._last)
-        row = self._last
+        self._n_lost, self._last = 0, row
+        self._others |= {*rows["stretch"].tolist()} - {int(row["stretch"])}
         sure = np.clip(np.asarray(row["visibility"], np.float64), 0.0, 1.0)
         return Seen(np.asarray(row["points"], np.float64), sure, np.asarray(row["world"], np.float64))
 
@@ -133,7 +140,9 @@ class PersonFinder:
 
         self._took = []
         if check_pose_model(get_pose_model(QUICKEST)) == "installed":
-            self._model, self._n_seen = QUICKEST, 0
+            self._model, self._n_seen, self._others = QUICKEST, 0, set()
+            if self._last is not None:
+                self._last["stretch"] = -1  # a new follower counts from 0 again
             self._open()
 
 
