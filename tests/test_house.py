@@ -18,7 +18,7 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_354, 116),
+    "app": (25_368, 116),
     "estimation": (16_559, 69),
     "evaluation": (12_109, 46),
     "experiments": (1_705, 8),
@@ -31,7 +31,7 @@ ROOMS = {
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 61_830,
+    "lines of tests": 61_867,
     "lines of JavaScript": 12_547,
     "constants": 1_049,
     "numeric constants without a source": 5,

@@ -214,3 +214,13 @@ def test_others_who_are_seen_are_named(dousa, scene, tmp_path):
     code, out, error = dousa(*words, "-o", tmp_path / "one.trc")
     assert code == 0, error
     assert any("--person N takes another" in note for note in json.loads(out)["warnings"])
+
+
+def test_points_in_pictures_are_no_motion_though_their_suffix_is_that_of_one(dousa, tmp_path):
+    path = tmp_path / "left_px.trc"
+    heads = ("PathFileType", "DataRate", "30", "Frame#\tTime\tNose\t\t\tLKnee\t\t\tRKnee\t\t",
+             "\t\tX1\tY1\tZ1\tX2\tY2\tZ2\tX3\tY3\tZ3", "")  # fmt: skip
+    rows = (f"{number}\t{number / 10}" + "\t10\t20\t0" * 3 for number in range(1, 4))
+    path.write_text("\n".join([*heads, *rows, ""]))
+    code, _, error = dousa("estimate", path, "--stature", "1.7", "--size", "64x48", "-o", tmp_path / "out.bvh")
+    assert code == 2 and "is a motion already" not in error

@@ -105,6 +105,8 @@ def test_films_of_one_name_are_called_by_the_folder_that_differs(tmp_path):
     make_opencap(tmp_path, make_cameras(2))
     (_, squat) = find_project(tmp_path).takes
     assert name_films(squat.films) == ("Cam0_squat_sync", "Cam1_squat_sync")
+    for places in ("a/view.1 a/view.2 b/view.1", "a/x/cam a/y/cam b/x/cam", "left.mp4 left.avi"):
+        assert len(set(name_films([tmp_path / place for place in places.split()]))) == len(places.split())
 
 
 def test_a_folder_of_keypoints_says_how_to_go_on(dousa, tmp_path):

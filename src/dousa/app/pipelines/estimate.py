@@ -226,7 +226,8 @@ def _track(
     return answer
 
 
-_MOTIONS = (".bvh", ".amc", ".c3d", ".trc", ".fbx", ".glb", ".gltf", ".vmd", ".mot", ".mvnx")  # never a film
+_MOTIONS = (".bvh", ".amc", ".c3d", ".trc", ".fbx", ".glb", ".gltf", ".vmd", ".mot", ".mvnx")
+"""Suffixes of motions, never of films; a table of points in pictures may be a ``.trc``."""
 
 
 def estimate_sources(
@@ -250,7 +251,7 @@ def estimate_sources(
     DousaError : what can be put right by the person who reads it.
     """
     for path in request.sources:
-        if path.suffix.lower() in _MOTIONS:
+        if path.suffix.lower() in _MOTIONS and not holds_keypoints(path):
             raise OptionError("film_estimate.motion", path=path)
     request = take_project(request, tell)
     sources = pair_sources(request.sources)

@@ -109,7 +109,7 @@ def shows_masks(path: Path) -> bool:
 
 
 def name_films(paths: Sequence[Path]) -> tuple[str, ...]:
-    """Different names for films: without folder and suffix; of those of one name with the nearest folder that differs.
+    """Different names for films: without folder and suffix; of those of one name with the folders that differ.
 
     Raises
     ------
@@ -126,7 +126,9 @@ def name_films(paths: Sequence[Path]) -> tuple[str, ...]:
 
 
 def _tell_apart(path: Path, others: Sequence[Path]) -> str:
-    """Name a film by the nearest folder that differs from those of films with its name, and this name."""
+    """Name a film by the nearest folder that tells it from all others with its name, else by all that differ."""
     depths = range(min(len(other.parents) for other in others))
-    apart = (depth for depth in depths if len({other.parents[depth].name for other in others}) == len(others))
-    return f"{path.parents[next(apart, 0)].name}_{path.stem}"
+    counts = {depth: len({other.parents[depth].name for other in others}) for depth in depths}
+    alone = [depth for depth in depths if counts[depth] == len(others)][:1]
+    folders = [path.parents[depth].name for depth in alone or [depth for depth in depths if counts[depth] > 1][::-1]]
+    return "_".join([*folders, path.stem if alone else path.name])

@@ -86,7 +86,9 @@ def _list_mentioned(studio: Studio) -> str:
     """Join the names of all batches that a job names or from which a clip comes, including clips that an undo brings
     back."""
     asked = [json.dumps([job.request for job in studio.jobs.all()])]
-    asked += [path.read_text() for path in (studio.workspace.root / "jobs").glob(f"*/{COMPANIONS}")]
+    for path in (studio.workspace.root / "jobs").glob(f"*/{COMPANIONS}"):
+        with suppress(OSError):  # removed meanwhile
+            asked.append(path.read_text())
     files = f"{studio.workspace.root / 'files'}{os.sep}"
     paths = [clip.path for clip in studio.listing.now().clips] + studio.library.removed_paths()
     asked += {path.removeprefix(files).partition(os.sep)[0] for path in paths if path.startswith(files)}
