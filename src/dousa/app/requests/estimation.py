@@ -59,7 +59,8 @@ CamerasFile = Annotated[
         metavar="FILE",
         help="Calibration: TOML of Pose2Sim, Anipose or Caliscope, XML of Qualisys, .xcp of Vicon, EasyMocap, "
         "OpenCap, BioCV, OpenCV YAML, XML or JSON, an npz with cameras; or their folder. Cameras are matched to "
-        "the views by name, else by order.",
+        "the views by name, else by order. calibrate takes focal lengths and distortion from it, sync is more exact "
+        "with it, and render sets a ring of cameras without it.",
     ),
 ]
 Films = Annotated[
