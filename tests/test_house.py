@@ -18,9 +18,9 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_369, 116),
-    "estimation": (16_559, 69),
-    "evaluation": (12_109, 46),
+    "app": (25_373, 116),
+    "estimation": (16_560, 69),
+    "evaluation": (12_110, 46),
     "experiments": (1_705, 8),
     "files": (1_149, 8),
     "formats": (13_063, 68),
@@ -31,14 +31,14 @@ ROOMS = {
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 61_875,
+    "lines of tests": 61_885,
     "lines of JavaScript": 12_547,
     "constants": 1_049,
     "numeric constants without a source": 5,
     "functions over 60 lines": 15,
     "files over 650 lines": 0,
     "folders with more than 15 files": 0,
-    "lines with words that a native reader stumbles over": 61,
+    "lines with words that a native reader stumbles over": 62,
     "hand-written runs of a mask": 3,
     "commands": 32,
     "options": 193,

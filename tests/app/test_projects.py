@@ -9,7 +9,7 @@ from oracles.made_films import Performance, make_cameras
 from oracles.made_films import film as make_film
 
 from app.test_keypoint_sources import to_rows, write_openpose
-from dousa.app.pipelines.film_sources import name_films
+from dousa.app.pipelines.film_sources import name_films, pair_sources
 from dousa.app.pipelines.projects import find_project
 from dousa.estimation import MEDIAPIPE_NAMES, write_cameras
 from dousa.estimation.keypoints.keypoint_json import HALPE_26
@@ -107,6 +107,16 @@ def test_films_of_one_name_are_called_by_the_folder_that_differs(tmp_path):
     assert name_films(squat.films) == ("Cam0_squat_sync", "Cam1_squat_sync")
     for places in ("a/view.1 a/view.2 b/view.1", "a/x/cam a/y/cam b/x/cam", "left.mp4 left.avi"):
         assert len(set(name_films([tmp_path / place for place in places.split()]))) == len(places.split())
+
+
+def test_keypoints_are_of_the_film_with_the_longest_name_that_fits(tmp_path, monkeypatch):
+    monkeypatch.setattr("dousa.app.pipelines.film_sources.holds_keypoints", lambda path: path.suffix == ".npz")
+    monkeypatch.setattr("dousa.app.pipelines.film_sources.holds_masks", lambda path: False)
+    views, _ = pair_sources([tmp_path / name for name in ("left.mp4", "left_b.mp4", "left_b.npz")])
+    assert [(view.source.name, view.film.name) for view in views] == [
+        ("left.mp4", "left.mp4"),
+        ("left_b.npz", "left_b.mp4"),
+    ]
 
 
 def test_a_folder_of_keypoints_says_how_to_go_on(dousa, tmp_path):

@@ -453,14 +453,14 @@ def _fingerprint_person(
 ) -> str:
     import dousa
 
-    tracks = [[] if track is None else [track.points, track.visibility] for track in person.tracks]
+    tracks = [[] if track is None else [track.points, track.visibility, track.world] for track in person.tracks]
     return fingerprint(
         {
             "version": dousa.__version__,
             "files": describe_files((*request.sources, *request.backgrounds, *films.masks)),
             "cameras": [[camera.to_row(), camera.width, camera.height] for camera in films.cameras],
             "keypoints": [list(films.found[0].names), films.moments, films.offsets, tracks],
-            "body": [request.stature, request.sex, request.cues, request.background_method, request.kind],
+            "body": [request.stature, request.sex, request.cues, request.background_method, request.kind, request.rate],
             "given": [] if body is None else [body],
         }
     )

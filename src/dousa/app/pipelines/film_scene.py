@@ -14,7 +14,7 @@ import numpy as np
 from dousa.app.pipelines.doubts import parse_frames
 from dousa.app.pipelines.estimation_views import check_count, read_view_cameras
 from dousa.app.pipelines.film_sources import PairedSources, is_keypoints, name_films, shows_masks
-from dousa.arrays import FloatArray, Image, Mask, nearest_frames
+from dousa.arrays import FloatArray, Image, IndexArray, Mask, nearest_frames
 from dousa.errors import CalibrationError, KeypointError, OptionError
 from dousa.estimation.silhouettes.silhouettes import Silhouettes, View
 from dousa.messages import Message
@@ -443,10 +443,11 @@ class PersonSilhouettes(Silhouettes):
                            for view, plate in zip(films.found, given, strict=True))  # fmt: skip
         self._sources = () if any(map(is_keypoints, sources)) else tuple(sources)
         self._files: list[VideoFile] = []
-        clocks = [view.times if plate is None else _find_times(plate)
-                  for view, plate in zip(films.found, given, strict=True)]  # fmt: skip
-        self._frames = [nearest_frames(times, films.moments + offset)
-                        for times, offset in zip(clocks, films.offsets, strict=True)]  # fmt: skip
+        moments = films.moments + films.offsets[:, None]
+        self._shown = [nearest_frames(view.times, own) for view, own in zip(films.found, moments, strict=True)]
+        self._frames = [shown if plate is None else _find_frames(plate, own)
+                        for shown, plate, own in zip(self._shown, given, moments, strict=True)]  # fmt: skip
+        self._looks = bool(plates) and not films.masks  # masks alone have no pictures
         self._masks: list[list[PersonMasks]] = [
             [masks for number in numbers if (masks := view.people[number].masks) is not None]
             for view, numbers in zip(films.found, members, strict=True)
@@ -466,7 +467,8 @@ class PersonSilhouettes(Silhouettes):
         """The masks (height, width) of all views in one frame; None where a view has no image then."""
         if self._plates:
             own_frames = zip(self._plates, self._frames, strict=True)
-            return tuple(None if plate is None else plate.read(int(places[frame])) for plate, places in own_frames)
+            return tuple(None if plate is None or places[frame] < 0 else plate.read(int(places[frame]))
+                         for plate, places in own_frames)  # fmt: skip
         masks: list[Mask | None] = []
         for view, found in enumerate(self._found):
             place = int(self._frames[view][frame])
@@ -481,12 +483,12 @@ class PersonSilhouettes(Silhouettes):
 
         if not self._sources:
             return super().look(frame)
-        if self._plates:
+        if self._looks:
             own_frames = zip(self._plates, self._frames, strict=True)
             return tuple(None if plate is None else plate.look(int(places[frame])) for plate, places in own_frames)
         self._files = self._files or [VideoFile(path) for path in self._sources]
         pictures: list[Image | None] = []
-        for file, places, size in zip(self._files, self._frames, self.sizes, strict=True):
+        for file, places, size in zip(self._files, self._shown, self.sizes, strict=True):
             image = file.read(min(int(places[frame]), file.n_frames - 1))
             small = None if image is None else cv2.resize(image, size, interpolation=cv2.INTER_AREA)
             pictures.append(None if small is None else np.asarray(small))
@@ -505,9 +507,12 @@ class PersonSilhouettes(Silhouettes):
         return tuple(camera.resized(*size) for camera, size in zip(cameras, self.sizes, strict=True))
 
 
-def _find_times(view: View) -> FloatArray:
-    """Times (T,) s of a view's frames since the first."""
-    return np.arange(view.n_frames) / view.frame_rate if view.times is None else view.times
+def _find_frames(view: View, moments: FloatArray) -> IndexArray:
+    """Frames (T,) of a view at moments, s since its first frame; -1 before it begins and after it ends."""
+    times = np.arange(view.n_frames) / view.frame_rate if view.times is None else view.times
+    apart = 1.0 / view.frame_rate
+    inside = (moments > times[0] - apart) & (moments < times[-1] + apart)
+    return np.where(inside, nearest_frames(times, moments), -1)
 
 
 def open_plates(request: EstimationRequest, films: FilmScene, report: ProgressCallback) -> list[View | None]:
@@ -523,7 +528,8 @@ def open_plates(request: EstimationRequest, films: FilmScene, report: ProgressCa
 
     if films.masks:
         given = open_views(films.masks, kind="mask", frame_rate=request.rate)
-        cameras, _ = match_cameras(films.cameras, [view.name for view in given])
+        cameras, notes = match_cameras(films.cameras, [view.name for view in given])
+        given[0].warnings = [*given[0].warnings, *notes]
         of_camera = {camera.name: view for camera, view in zip(cameras, given, strict=True)}
         return [of_camera.get(camera.name) for camera in films.cameras]
     if not has_plates(request) or any(map(is_keypoints, request.sources)):

@@ -52,12 +52,11 @@ def pair_sources(sources: Sequence[Path]) -> PairedSources:
     found = [path for path in sources if holds_keypoints(path)]
     masks = [path for path in sources if found and path not in found and holds_masks(path)]
     films = [path for path in sources if path not in found and path not in masks]
-    pairs: list[tuple[Path, Path | None]] = []
-    for path in sources:
-        if path in found:
-            pairs.append((path, next((film for film in films if _is_of(path, film)), None)))
-        elif path in films and not any(_is_of(other, path) for other in found):
-            pairs.append((path, path))
+    # The longest name that fits: ``left_b.npz`` is of ``left_b.mp4`` and not of ``left.mp4``.
+    of = {path: max((film for film in films if _is_of(path, film)), key=lambda film: len(film.stem), default=None)
+          for path in found}  # fmt: skip
+    alone = [film for film in films if film not in of.values()]
+    pairs = [(path, of.get(path, path)) for path in sources if path in of or path in alone]
     names = name_films([film or path for path, film in pairs])
     views = tuple(FilmSource(name, path, film) for name, (path, film) in zip(names, pairs, strict=True))
     return PairedSources(views, tuple(masks))
@@ -76,12 +75,11 @@ def is_keypoints(path: Path) -> bool:
 
 def holds_masks(path: Path) -> bool:
     """Whether a source that holds no keypoints is a file, folder or film of masks."""
-    from dousa.estimation.silhouettes.images import find_mask_folders
     from dousa.files.npz_arrays import open_npz
 
     try:
         if path.is_dir():
-            return bool(find_mask_folders(path))
+            return True
         if path.suffix.lower() == ".npz":
             with open_npz(path, SilhouetteError) as arrays:
                 return not {"mask_packed", "mask", "masks"}.isdisjoint(arrays.names)

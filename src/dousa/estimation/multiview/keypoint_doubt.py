@@ -1,7 +1,7 @@
 """What keypoints say of how far off a fitted body is: the evidence that `dousa.estimation.body.doubt` weighs.
 
-With one view nothing in the picture tells the distance: its spread is stated by itself, and frames are ``lost`` whose
-posture is.
+With one view nothing in the picture tells the distance: its spread is stated by itself, and only frames are ``lost`` in
+which nobody is seen.
 """
 
 from __future__ import annotations
@@ -59,7 +59,8 @@ def find_evidence(
     apart = compute_points(body, pose)[:, None] - place_points(body, pose, landmarks)[None]
     near = np.linalg.norm(apart, axis=2).argmin(axis=1)
     shown = (seen.visibility > VISIBLE) & np.isfinite(off)
-    # A point takes three of its two coordinates a view: so counted, errors mean the same with any number of views.
+    # Of the two coordinates in each view a place in space takes up three in all: counted per degree of freedom left,
+    # errors mean the same with any number of views.
     free = np.where(shown.sum(axis=0) > 1, shown.sum(axis=0) - 1.5, 1.0)
     squares = np.where(shown, np.nan_to_num(off) ** 2, 0.0).sum(axis=0) / free
     needed = min(2, len(off))

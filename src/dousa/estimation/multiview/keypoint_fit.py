@@ -123,7 +123,7 @@ def fit_keypoints(
 ) -> KeypointFit:
     """Fit a body to one person's keypoints.
 
-    Frames are ``lost`` that are probably off by more than 150 mm, with one view in posture, or show too few points.
+    Frames are ``lost`` that are probably off by more than 150 mm (not said of one view), or show too few points.
 
     Parameters
     ----------

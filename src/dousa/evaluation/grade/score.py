@@ -173,7 +173,8 @@ def grade_performance(
 
 def find_well(references: ReferenceTakes, weights: FloatArray) -> float:
     """Find the grade from which on a single movement is done well: `WELL`, or, where that is less, the one that three
-    quarters of the takes of the reference get at least from the others: no single one makes a fault or hides one.
+    quarters of the takes of the reference get at least from the others (interpolated: a single odd one of three still
+    lowers it by half of its distance from the next).
 
     Parameters
     ----------
