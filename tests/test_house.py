@@ -31,7 +31,7 @@ ROOMS = {
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 61_885,
+    "lines of tests": 61_889,
     "lines of JavaScript": 12_547,
     "constants": 1_049,
     "numeric constants without a source": 5,

@@ -265,7 +265,7 @@ class TestEstimateAround:
             (("SEEN", "--cameras", "x.toml", "--stature", 170), "centimetres"),
             (("SEEN", "--cameras", "x.toml"), "x.toml"),
             (("SEEN", "--frames", "5:5"), "--frames"),
-            (("SEEN", "SEEN"), "cannot be combined with other sources"),
+            (("SEEN", "SEEN"), "seen.npz' is given twice"),
             (("SEEN", "--settings", "no.toml"), "cannot be read"),
             (("SEEN", "--background", "x.png"), "background"),
             (("JACK",), "jack.bvh is a motion already"),
@@ -428,7 +428,7 @@ class TestSources:
         failed(dousa("estimate", sources / "view1.mp4"), "calibration file required", "dousa keypoints --install")
         plates = ("--background", "x.png", "--background", "y.png")
         failed(dousa("estimate", sources / "view1.mp4", *calibration, *plates), "background")
-        failed(dousa("estimate", sources / "view1", sources / "view1", *calibration), "camera")
+        failed(dousa("estimate", sources / "view1", sources / "view1", *calibration), "view1' is given twice")
         assert tracked.asked == []
 
 

@@ -330,9 +330,9 @@ def test_a_doubtful_guess_is_said_to_be_one():
     assert describe_verdict(replace(named, confidence=None)) == "kick (votes: kick 60%, march 40%)"
     assert describe_verdict(replace(verdict, perhaps=False)).startswith("unknown (most like kick, 31% likely right")
     assert verdict.to_json()["perhaps"] is True and verdict.to_json()["category"] is None
-    mirrored = replace(verdict, odds=verdict.odds + 2)
+    mirrored = replace(verdict, odds=verdict.odds + 2.5)
     assert mirrored.fits_better_than(verdict) and not verdict.fits_better_than(mirrored)
-    assert not replace(verdict, odds=verdict.odds + 0.5).fits_better_than(verdict), "likelier, not clearly"
+    assert not replace(verdict, odds=verdict.odds + 1.5).fits_better_than(verdict), "likelier, not clearly"
 
 
 @pytest.fixture(scope="session")

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from dousa.app import targets
+from dousa.app.pipelines.render import render_file
+from dousa.app.requests.estimation import RenderRequest
 from dousa.errors import OptionError
 from dousa.estimation import ViewKeypoints, make_ring, write_cameras, write_keypoints, write_offsets
 from dousa.formats.registry import write_motion
@@ -88,8 +90,8 @@ def test_a_table_of_labels_is_not_written_over_another_one(dousa, folder):
         ("evaluate", "take.trc", "-p", "take.trc", "-o", "report"),
         ("progress", "note.txt", "note.txt", "--picture", "note.png"),
         ("render", "take.trc", "-o", "other.npz"),
-        ("estimate", "take.trc", "--angles", "other.csv"),
-        ("estimate", "take.trc", "-o", "note.bvh"),
+        ("estimate", "seen.npz", "--angles", "other.csv"),
+        ("estimate", "seen.npz", "-o", "note.bvh"),
         ("keypoints", "other.mp4", "-o", "."),
         ("sync", "other.mp4", "other2.mp4", "-o", "note.toml"),
         ("calibrate", "other.mp4", "other2.mp4", "-o", "note.png"),
@@ -106,6 +108,8 @@ def test_what_another_program_has_written_stays(dousa, folder, monkeypatch, word
     Path("report/report.html").write_text("my own page")
     for name in ("other.mp4", "other2.mp4"):
         Path(name).write_bytes(b"no film")
+    if words[1] == "seen.npz":
+        render_file(RenderRequest(Path("clips/walk/p0.bvh"), Path(words[1]), size=(80, 60)))
     monkeypatch.setattr("dousa.app.pipelines.films.require", lambda *_: None)
     before = contents(folder)
     code, out, err = dousa(*words)
