@@ -31,7 +31,7 @@ from dousa.app.pipelines.film_scene import (
     open_plates,
     with_outputs,
 )
-from dousa.app.pipelines.film_sources import PairedSources, pair_sources, shows_masks
+from dousa.app.pipelines.film_sources import PairedSources, is_motion, pair_sources, shows_masks
 from dousa.app.pipelines.projects import take_project
 from dousa.app.pipelines.track_log import PartialFile, describe_files, fingerprint
 from dousa.arrays import FloatArray
@@ -77,12 +77,12 @@ class Estimation:
     def to_json(self) -> dict[str, Any]:
         """What ``dousa estimate --json`` prints."""
         answer = self.estimate.to_json()
-        keys = ("n_frames", "frame_rate", "iou", "lost_frames", "frames_per_second")
-        doubt = ("expected_error_m", "depth_spread_m", "lengths_m")
+        keys = ("n_frames", "frame_rate", "iou", "lost_frames", "frames_per_second", "expected_error_m")
+        keys = (*keys, "depth_spread_m", "lengths_m")
         trusted = ~self.estimate.lost
         uncertainty = self.estimate.uncertainty[trusted] if trusted.any() else self.estimate.uncertainty
         return {
-            **{key: answer[key] for key in (*keys, *doubt)},
+            **{key: answer[key] for key in keys},
             "views": list(self.views),
             "first_frame": self.first_frame,
             "body": str(self.body),
@@ -226,10 +226,6 @@ def _track(
     return answer
 
 
-_MOTIONS = (".bvh", ".amc", ".c3d", ".trc", ".fbx", ".glb", ".gltf", ".vmd", ".mot", ".mvnx")
-"""Suffixes of motions, never of films; a table of points in pictures may be a ``.trc``."""
-
-
 def estimate_sources(
     request: EstimationRequest,
     progress: ProgressCallback | None = None,
@@ -251,7 +247,7 @@ def estimate_sources(
     DousaError : what can be put right by the person who reads it.
     """
     for path in request.sources:
-        if path.suffix.lower() in _MOTIONS and not holds_keypoints(path):
+        if is_motion(path):
             raise OptionError("film_estimate.motion", path=path)
     request = take_project(request, tell)
     sources = pair_sources(request.sources)

@@ -10,8 +10,10 @@ from typing import NamedTuple
 
 from dousa.errors import OptionError, SilhouetteError
 from dousa.estimation.keypoints.keypoint_files import holds_keypoints
+from dousa.formats.registry import READERS
 
-_KEYPOINT_SUFFIXES = (".npz", ".json", ".csv", ".tsv", ".trc", ".npy")
+_OF_EITHER = (".npz", ".json", ".csv", ".tsv", ".npy")  # by what is in them, keypoints, masks or motions
+_KEYPOINT_SUFFIXES = (*_OF_EITHER, ".trc")
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +73,12 @@ def _is_of(keypoints: Path, film: Path) -> bool:
 def is_keypoints(path: Path) -> bool:
     """Whether a source holds keypoints, and is not a film."""
     return path.is_dir() or path.suffix.lower() in _KEYPOINT_SUFFIXES
+
+
+def is_motion(path: Path) -> bool:
+    """Whether a source is of a format of motions alone; a ``.trc`` may be a table of points in pictures."""
+    suffix = path.suffix.lower()
+    return suffix in READERS and suffix not in _OF_EITHER and not holds_keypoints(path)
 
 
 def holds_masks(path: Path) -> bool:
