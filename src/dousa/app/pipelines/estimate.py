@@ -77,8 +77,7 @@ class Estimation:
     def to_json(self) -> dict[str, Any]:
         """What ``dousa estimate --json`` prints."""
         answer = self.estimate.to_json()
-        keys = ("n_frames", "frame_rate", "iou", "lost_frames", "frames_per_second", "expected_error_m")
-        keys = (*keys, "depth_spread_m", "lengths_m")
+        keys = "n_frames frame_rate iou lost_frames frames_per_second expected_error_m depth_spread_m lengths_m".split()
         trusted = ~self.estimate.lost
         uncertainty = self.estimate.uncertainty[trusted] if trusted.any() else self.estimate.uncertainty
         return {
