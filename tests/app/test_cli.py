@@ -162,6 +162,16 @@ def test_convert_to_smpl_says_what_it_costs(dousa, motions, tmp_path):
     assert "SMPL body" not in dousa("convert", target, tmp_path / "b.amass.npz")[2]
 
 
+def test_joint_angles_are_a_table_of_their_own(dousa, motions, tmp_path):
+    source = motions / "bow/p0.bvh"
+    code, _, err = dousa("convert", source, tmp_path / "a.csv")
+    assert code == 0 and "joint angles in degrees go into a name that ends in .angles.csv" in err
+    for _ in range(2):  # what is there may be written again
+        code, _, err = dousa("convert", source, tmp_path / "a.angles.csv")
+        assert (code, err) == (0, "")
+    assert (tmp_path / "a.angles.csv").read_text().startswith("time_s,pelvis_tilt,")
+
+
 def test_convert_refuses_and_leaves_nothing(dousa, motions, tmp_path):
     source = motions / "walk/p0.bvh"
     for target, options in (("a.fbx", ()), ("a.bvh", ("--frame-rate", "0")), ("no/folder/a.bvh", ())):

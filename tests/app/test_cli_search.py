@@ -3,6 +3,8 @@
 import io
 import json
 import re
+import shlex
+import shutil
 
 import pytest
 from rich.console import Console
@@ -80,6 +82,22 @@ def test_words_and_levels_choose_clips_of_every_command(dousa, library, tmp_path
     assert dousa("list", library, "--category", "kick")[2].count("kick_left") == 1
     code, _, err = dousa("list", library, "--text", "xqzzv")
     assert code == 2 and "xqzzv" in err
+
+
+def test_what_a_search_found_is_taken_along(dousa, succeed, library, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    query = library.parent / "clap" / "p0.bvh"
+    for words, expected in (((query,), "clap"), (("--text", "kick"), "kick_left")):
+        out, _ = succeed("search", library, *words)
+        command = out.splitlines()[-1].partition("dousa ")[2]
+        out, _ = succeed(*shlex.split(command), "--json")
+        assert {name.partition("/")[0] for name in json.loads(out)["written"]} == {expected}
+        shutil.rmtree("found")
+    out, _ = succeed("list", library, "--like", query, "--save", "claps", "--json")
+    kept, _ = succeed("list", library, "--select", "claps", "--json")
+    assert json.loads(kept)["clips"] == json.loads(out)["clips"]
+    code, _, err = dousa("export", library, "--like", query, "--text", "kick", "-o", "none")
+    assert code == 2 and "no clip is like" in err
 
 
 @pytest.mark.parametrize(

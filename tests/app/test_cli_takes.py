@@ -166,6 +166,7 @@ def test_label_with_table_and_picture(dousa, library, recordings, tmp_path):
     take = recordings / "take.trc"
     code, out, _ = dousa("label", library, take, "--csv", table, "--picture", picture)
     assert code == 0 and "start" in out and "sure" in out
+    assert [line.partition(": ")[2] for line in out.splitlines()[-2:]] == [str(table), str(picture)]
     lines = table.read_text().splitlines()
     assert lines[0] == "start_s,end_s,category,confidence,repetitions,perhaps"
     assert picture.read_bytes().startswith(b"\x89PNG")

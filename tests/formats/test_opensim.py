@@ -1,5 +1,7 @@
 """OpenSim's joint angles: which way each turns, there and back, from other bodies, what is no motion."""
 
+import csv
+
 import numpy as np
 import pytest
 
@@ -116,6 +118,18 @@ def test_a_fitted_body_keeps_its_angles_without_jumps(tmp_path):
     again = compute_coordinates(read_motion(tmp_path / "x.bvh"))
     for name, values in found.items():
         np.testing.assert_allclose(again[name], values, atol=0.01, err_msg=name)
+
+
+def test_the_same_angles_in_a_plain_table(tmp_path):
+    walk = make_motion("walk", draw_performer(2))
+    write_motion(walk, tmp_path / "x.angles.csv")
+    with open(tmp_path / "x.angles.csv", encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    wanted = {"time_s": np.arange(walk.n_frames) / walk.frame_rate, **compute_coordinates(walk)}
+    assert list(rows[0]) == list(wanted)
+    for name, values in wanted.items():
+        np.testing.assert_allclose([float(row[name]) for row in rows], values, atol=1e-6)
+    assert not is_motion_file(tmp_path / "x.angles.csv")
 
 
 def test_damage(tmp_path):

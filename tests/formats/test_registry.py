@@ -53,7 +53,7 @@ def test_the_table_is_the_one_promised():
         ".bvh .amc .c3d .trc .npz .npy .pkl .pk .pickle .joblib .pt .csv .tsv .json .vmd .mot .mvnx .fbx .dae .usd"
         " .usda .usdc .usdz .glb .gltf .vrm .vrma"
     )
-    assert " ".join(WRITERS) == ".bvh .c3d .trc .opencap.trc .amass.npz .npz .csv .vmd .mot .fbx .glb"
+    assert " ".join(WRITERS) == ".bvh .c3d .trc .opencap.trc .amass.npz .npz .angles.csv .csv .vmd .mot .fbx .glb"
 
 
 def test_the_help_of_the_commands_names_them():

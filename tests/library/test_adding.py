@@ -58,6 +58,11 @@ def test_a_rule_that_finds_nothing_is_told(empty_library, moves):
     assert empty_library.add(moves / "wave", category_from="none", n_jobs=1).warnings == ()  # nobody asked for labels
 
 
+def test_a_single_pose_is_told(empty_library, write_move, tmp_path):
+    report = empty_library.add(write_move(tmp_path / "rest" / "a.bvh", n_frames=1))
+    assert "library_add.one_frame" in {message.code for _, message in report.warnings}
+
+
 def test_a_touched_file_is_unchanged_and_then_not_read_again(empty_library, write_move, tmp_path):
     path = write_move(tmp_path / "a.bvh")
     empty_library.add(path)

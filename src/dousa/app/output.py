@@ -86,6 +86,13 @@ def say(message: Message | str) -> None:
     console().print(one_line(str(message)), markup=False, soft_wrap=True)
 
 
+def say_written(*paths: Path | None, json: bool = False) -> None:
+    """Say which files were written, unless the answer is JSON."""
+    for path in paths:
+        if path is not None and not json:
+            say(Message("targets.written", path=path))
+
+
 def one_line(text: str) -> str:
     """The text with control characters, as file names may hold them, spelled as their codes."""
     return "".join(

@@ -22,7 +22,7 @@ _BEGINNINGS = {
     ".trc": rb"PathFileType",
     ".c3d": rb".\x50",
     ".npz": rb"PK.{28}(kind|poses)\.npy",
-    ".csv": rb"(\xef\xbb\xbf)?Format Version",
+    ".csv": rb"(\xef\xbb\xbf)?(Format Version|time_s,pelvis_tilt)",
     ".fbx": rb"Kaydara|; FBX",
     ".glb": rb"glTF",
     ".mp4": rb".{4}ftyp",

@@ -1,5 +1,7 @@
 """OpenSim's motions (.mot): joint angles of its whole-body models, by name, and the place of the pelvis.
 
+The same as a plain table is ``.angles.csv``.
+
 The names and their axes are those of the models of Rajagopal et al., Full-body musculoskeletal model for muscle-driven
 simulation of human gait, IEEE TBME 2016, which OpenCap uses too; hips, trunk and pelvis turn in the order Z, X, Y of
 the ISB (Wu et al., ISB recommendation on definitions of joint coordinate systems, Journal of Biomechanics 2002). X
@@ -11,11 +13,16 @@ Places of joints go to OpenCap as ``.opencap.trc``, under the names of its point
 
 from __future__ import annotations
 
+import csv
+import io
 import os
 import re
+from collections.abc import Mapping
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
 from dousa.errors import JointMappingError, MotionFileError, MotionWriteError
@@ -168,10 +175,7 @@ def write_mot(motion: Motion, path: str | os.PathLike[str]) -> None:
     ------
     MotionWriteError : joints that cannot be mapped, missing rotations, a disk error.
     """
-    try:
-        columns = compute_coordinates(motion)
-    except JointMappingError as error:
-        raise MotionWriteError(path, "opensim.other_skeleton", reason=error.problem) from error
+    columns = _compute_for(motion, path)
     rows = np.column_stack((np.arange(motion.n_frames) / motion.frame_rate, *columns.values()))
     if not np.isfinite(rows).all():
         raise MotionWriteError(path, "opensim.gaps")
@@ -180,6 +184,35 @@ def write_mot(motion: Motion, path: str | os.PathLike[str]) -> None:
         file.write((head + "\t".join(("time", *columns)) + "\n").encode())
         for row in rows.tolist():
             file.write(("\t".join(f"{value:.8f}" for value in row) + "\n").encode())
+
+
+def _compute_for(motion: Motion, path: str | os.PathLike[str]) -> dict[str, FloatArray]:
+    try:
+        return compute_coordinates(motion)
+    except JointMappingError as error:
+        raise MotionWriteError(path, "opensim.other_skeleton", reason=error.problem) from error
+
+
+def write_angles(motion: Motion, path: str | os.PathLike[str]) -> None:
+    """Write the coordinates of `write_mot` as a plain table, with ``time_s``; what is missing stays empty.
+
+    Raises
+    ------
+    MotionWriteError : joints that cannot be mapped, a disk error.
+    """
+    write_angle_table(_compute_for(motion, path), motion.frame_rate, path)
+
+
+def write_angle_table(columns: Mapping[str, NDArray[Any]], frame_rate: float, path: str | os.PathLike[str]) -> None:
+    """Write a row for each frame: its time in s, then the values (T,) of the columns; MotionWriteError for the disk."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["time_s", *columns])
+    for frame, row in enumerate(zip(*(values.tolist() for values in columns.values()), strict=True)):
+        cells = (f"{one:.6f}" if isinstance(one, float) else str(int(one)) for one in (frame / frame_rate, *row))
+        writer.writerow("" if cell == "nan" else cell for cell in cells)
+    with atomic_write(path) as file:
+        file.write(text.getvalue().encode())
 
 
 def _straighten(

@@ -90,6 +90,7 @@ FORMATS: tuple[Format, ...] = (
         _PARTS,
         rb"poses|thetas|keypoints3d|(?:global|root)_orient|rotmat|body_pose|\x04(?:\0{3})?pose|\x06(?:\0{3})?motion",
     ),
+    Format("angles", (".angles.csv",), "dousa.formats.opensim", None, "write_angles", "motion"),
     Format(
         "csv", (".csv",), "dousa.formats.tables", "read_table", "write_motive", "both", _TABLE,
         rb"\A(?:\xef\xbb\xbf)?\"?Format Version", check="is_table",

@@ -53,7 +53,7 @@ from dousa.library.store.ingest import (
     read_clips,
 )
 from dousa.library.store.rows import fetch_in, update_rows
-from dousa.library.store.selection import delete_clips, read_tags, save_tags
+from dousa.library.store.selection import delete_clips, read_tags, save_tags, with_segments
 from dousa.library.takes.windows import make_window_files, refresh_windows
 from dousa.messages import Message
 
@@ -484,16 +484,18 @@ class Adding:
         return _Sorted(tally, fresh, list(gone.values()), moved, arrival)
 
     def _store(self, connection: sa.Connection, found: _Sorted) -> _Sorted:
-        for record, row in found.moved:
-            _move(connection, record, row)
-        if found.fresh or found.gone or found.tally["moved"]:
-            revision = next_revision(connection)
-            with recording(connection, revision, "add", gone=found.gone):
-                tags = _read_own_tags(connection, found.gone)
-                delete_clips(connection, found.gone)
-                if found.arrival is not None:
-                    insert_clips(connection, found.fresh, found.arrival)
-                _give_tags(connection, tags)
+        if not (found.fresh or found.gone or found.tally["moved"]):
+            _move(connection, found.moved)
+            return found
+        kind = "add" if found.fresh or found.gone else "move"
+        renamed = with_segments(connection, [row.id for record, row in found.moved if record.path != row.path])
+        with recording(connection, next_revision(connection), kind, marked=renamed, gone=found.gone):
+            _move(connection, found.moved)
+            tags = _read_own_tags(connection, found.gone)
+            delete_clips(connection, found.gone)
+            if found.arrival is not None:
+                insert_clips(connection, found.fresh, found.arrival)
+            _give_tags(connection, tags)
         return found
 
     def _take(self, tally: Tally, fresh: list[ClipRecord], known: FileRecord, row: Any) -> None:
@@ -509,7 +511,8 @@ class Adding:
             (tally["added"] if row is None else tally["replaced"]).append(record.path)
             missing = [name for name, rule in self._rules.items() if labels[name] is None and rule is not no_label]
             notes = map(Message.from_json, record.row["warnings"])
-            doubts = (*(note for note in notes if note.code not in _PART_NOTES), *map(_NO_LABEL.__getitem__, missing))
+            doubts = [*(note for note in notes if note.code not in _PART_NOTES), *map(_NO_LABEL.__getitem__, missing)]
+            doubts += [Message("library_add.one_frame")] if record.row["n_frames"] == 1 else []
             tally["warnings"] += [(record.path, text) for text in doubts]
         elif isinstance(record, Skipped):
             tally["skipped"].append(record)
@@ -535,10 +538,13 @@ def _believe(answer: Answer) -> Answer:
     return answer if refusal is None else Skipped(answer.path, refusal)
 
 
-def _move(connection: sa.Connection, record: FileRecord, row: Any) -> None:
-    update_rows(connection, LABELS, {row.id: {"path": record.path}})
-    update_rows(connection, NUMBERS, {row.id: {name: record.row[name] for name in ("fingerprint", "read_options")}})
-    rename_segments(connection, record.path)
+def _move(connection: sa.Connection, moved: Sequence[tuple[FileRecord, Any]]) -> None:
+    names = ("fingerprint", "read_options")
+    update_rows(connection, NUMBERS, {row.id: {name: record.row[name] for name in names} for record, row in moved})
+    renamed = [(record, row) for record, row in moved if record.path != row.path]
+    update_rows(connection, LABELS, {row.id: {"path": record.path} for record, row in renamed})
+    for record, _ in renamed:
+        rename_segments(connection, record.path)
 
 
 def _read_own_tags(connection: sa.Connection, ids: Sequence[int]) -> dict[str, tuple[str, ...]]:

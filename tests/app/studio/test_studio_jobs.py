@@ -151,6 +151,18 @@ def test_removing(board, work):
         board.get(job.id)
 
 
+def test_what_others_were_made_from_is_kept_as_long_as_they_are(board, work):
+    work.go.set()
+    masks = board.submit("slow", {}, "masks")
+    until(lambda: masks.state == "done")
+    corrected = board.submit("slow", {"masks": masks.id}, "corrected")
+    until(lambda: corrected.state == "done")
+    with pytest.raises(RefusedError, match=r"made from this one \(corrected\); forget it first"):
+        board.remove(masks.id)
+    board.remove(corrected.id)
+    board.remove(masks.id)
+
+
 def worker_of(studio):
     """The process that works for a studio of this test."""
     found = subprocess.run(

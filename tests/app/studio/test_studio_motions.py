@@ -9,6 +9,7 @@ import zipfile
 import numpy as np
 import pytest
 
+from dousa.formats.exchange.programs import find_program
 from dousa.formats.registry import read_motion, write_motion
 from dousa.motion import canonicalise
 from dousa.motion.canonical.joints import JOINT_INDEX
@@ -256,6 +257,7 @@ def test_the_formats_are_those_that_are_written(studio):
     answer = studio.get("/api/export/formats").json()
     assert answer["formats"]["glb"] == ".glb"
     assert answer["original"] not in answer["formats"]
+    assert ("fbx" in answer["missing"]) == (find_program("blender") is None) and "glb" not in answer["missing"]
 
 
 def test_mistakes_are_told_at_once(studio, character):

@@ -103,6 +103,36 @@ def test_adding_is_one_change_and_files_that_changed_come_back_as_they_were(libr
     assert len([clip for clip in library.clips() if str(tmp_path / "new") in clip.path]) == 3
 
 
+def test_undoing_an_add_of_moved_files_loses_nothing(library, write_move, tmp_path):
+    old, new = tmp_path / "old", tmp_path / "new"
+    for seed in range(2):
+        write_move(old / f"a{seed}.bvh", "bow", seed=50 + seed)
+    library.add(old, category_from="none")
+    library.add(write_move(old / "take.bvh", "squat", n_frames=300), kind="take")
+    (take,) = [clip.id for clip in library.clips() if clip.kind == "take"]
+    library.annotations.name(take, 0.5, 1.5, "nod")
+    before = {clip.id: clip.path for clip in library.clips()}
+    old.rename(new)
+    assert len(library.add(new, category_from="none").moved) == 3
+    after = {clip.id: clip.path for clip in library.clips()}
+    assert [number for number in before if before[number] != after[number]] == [*before][-4:]
+    assert (library.journal()[0].kind, library.journal()[0].n_clips) == ("move", 4)
+    for paths, step in ((before, library.undo), (after, library.redo), (before, library.undo)):
+        assert step().what.code == "journal.moved"
+        assert {clip.id: clip.path for clip in library.clips()} == paths
+    write_move(new / "b.bvh", "bow", seed=70)
+    assert len(library.add(new, category_from="none").moved) == 3
+    assert library.journal()[0].kind == "add"
+    library.undo()
+    assert {clip.id: clip.path for clip in library.clips()} == before
+    library.redo()
+    number = library.journal()[0].number
+    library.add(write_move(old / "a0.bvh", "bow", seed=80), category_from="none")
+    with pytest.raises(LibraryError) as caught:
+        library.undo(number)
+    assert caught.value.code == "journal.changed_since"
+
+
 def test_labels_of_takes_come_back(library, write_move, tmp_path):
     path = write_move(tmp_path / "take.bvh", "squat", n_frames=300)
     library.add(path, kind="take")

@@ -32,7 +32,7 @@ READ_SUFFIXES = (
     ".bvh .amc .c3d .trc .npz .npy .pkl .pk .pickle .joblib .pt .csv .tsv .json .vmd .mot .mvnx .fbx .dae .usd .usda"
     " .usdc .usdz .glb .gltf .vrm .vrma"
 )
-WRITTEN_SUFFIXES = ".bvh .c3d .trc .opencap.trc .amass.npz .npz .csv .vmd .mot .fbx .glb"
+WRITTEN_SUFFIXES = ".bvh .c3d .trc .opencap.trc .amass.npz .npz .angles.csv .csv .vmd .mot .fbx .glb"
 
 
 def info(
@@ -243,6 +243,8 @@ def convert(
     if target.name.lower().endswith(".amass.npz"):
         motion, answer = _put_onto_smpl(motion, target, options, answer)
     write_motion(motion, target)
+    if target.suffix.lower() == ".csv" and not target.name.lower().endswith(".angles.csv"):
+        warn(Message("files_cli.places", path=target))
     if json:
         print_json(
             {

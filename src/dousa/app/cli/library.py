@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Iterator, Sequence
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -13,15 +14,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dousa.app.cli.usage import Json, LibraryPath
-from dousa.app.output import console, print_answer, print_json, progress_bar, say, warn
+from dousa.app.output import console, print_answer, print_json, progress_bar, say, say_written, warn
 from dousa.app.requests.library import (
     Character,
     ClassifyRequest,
     LabelRules,
     Labels,
+    Like,
     SearchRequest,
     TaggedLabels,
     TakeLabels,
+    Text,
     TrainRequest,
 )
 from dousa.app.requests.reading import PartReading, Reading
@@ -77,19 +80,35 @@ def choose_saved(library: Library, name: str) -> list[int | str]:
 def choose_clips(
     library: Library, clips: Sequence[int | str], select: str | None, where: TaggedLabels
 ) -> tuple[list[int | str], dict[str, Any]]:
-    """The clips that are named, saved or described by words (empty for all), and the labels that they must have."""
+    """The clips that are named, saved, described by words or like a motion (empty for all), and the labels that they
+    must have."""
     labels: dict[str, Any] = asdict(where)
-    text = labels.pop("text")
+    text, like = labels.pop("text"), labels.pop("like")
     chosen = [*clips, *(choose_saved(library, select) if select is not None else [])]
-    if text is None:
-        return chosen, labels
-    found = [hit.clip_id for hit in library.search_text(text, None).results]
-    if chosen:
-        among = {clip.id for clip in library.clips(chosen)}
-        found = [number for number in found if number in among]
-    if not found:
-        raise LibraryError("library_clips.none_of_text", library=library.name, text=text)
-    return [*found], labels
+    if text is not None:
+        found = _keep_named(library, [hit.clip_id for hit in library.search_text(text, None).results], chosen)
+        if not found:
+            raise LibraryError("library_clips.none_of_text", library=library.name, text=text)
+        chosen = found
+    if like is not None:
+        chosen = _keep_named(library, _find_alike(library, like), chosen)
+        if not chosen:
+            raise LibraryError("library_clips.none_alike", library=library.name, query=like)
+    return chosen, labels
+
+
+def _keep_named(library: Library, found: list[int], named: list[int | str]) -> list[int | str]:
+    among = {clip.id for clip in library.clips(named)} if named else set(found)
+    return [number for number in found if number in among]
+
+
+def _find_alike(library: Library, query: str) -> list[int]:
+    """The clips that mean the same as a motion; the most similar ones where the library has not learned that."""
+    wanted = clip_or_path(query)
+    found = library.search(wanted)
+    if (found.alike_count or 0) > len(found.results):
+        found = library.search(wanted, found.alike_count)
+    return [hit.clip_id for hit in found.results if hit.alike is not False]
 
 
 def print_changed(key: str, changed: Sequence[str], code: str, *, json: bool) -> None:
@@ -296,6 +315,9 @@ def search(
 
             draw_search_result(opened, wanted, result, picture, options)
     print_answer(result, functools.partial(print_search, detail=detail), json=json)
+    say_written(picture, json=json)
+    if not json and any(hit.alike is not False for hit in result.results):
+        _tell_export(library, {"--like": query, "--text": text}, where)
 
 
 def _search_text(library: str, text: str | None, k: int, where: Labels, json: bool) -> None:
@@ -306,6 +328,15 @@ def _search_text(library: str, text: str | None, k: int, where: Labels, json: bo
     with open_to_read(library) as opened:
         answer = opened.search_text(text, k, **asdict(where))
     print_answer(answer, print_text_search, json=json)
+    if answer.results and not json:
+        _tell_export(library, {"--text": text}, where)
+
+
+def _tell_export(library: str, asked: Mapping[str, str | None], where: Labels) -> None:
+    """Say how to take along what was found."""
+    given = {**asked, "--category": where.category, "--performer": where.performer}
+    words = [word for option, value in given.items() if value is not None for word in (option, value)]
+    say(Message("answers.take_along", command=shlex.join(["dousa", "export", library, *words, "-o", "found/"])))
 
 
 def _choose_among(library: Library, text: str | None, where: Labels) -> list[int] | None:
@@ -368,7 +399,9 @@ def list_clips(
         if select is not None or not asked:
             raise OptionError("library_searches.nothing_to_save")
         with open_library(library) as opened:
-            opened.searches.save(save, asked)
+            chosen, labels = choose_clips(opened, (), None, where)
+            found = {"clips": [clip.id for clip in opened.clips(chosen, **labels)]}  # a motion is no filter to repeat
+            opened.searches.save(save, asked if where.like is None else found)
     with open_to_read(library) as opened:
         stats = opened.stats()
         wanted = bool(asked) or clips or json or select is not None
@@ -408,7 +441,7 @@ def export(
     Can be interrupted and run again: what is there and unchanged is kept. Files are read as they were when they were
     added, but for --read.
 
-    Example: dousa export moves.dousa --category walk --to glb -o walks/
+    Example: dousa export moves.dousa --like kick.bvh --to glb -o kicks/
     """
     options = reading.load()
     with open_to_read(library) as opened, progress_bar() as progress:
@@ -468,9 +501,8 @@ def relabel(
     where_performer: Annotated[
         str | None, typer.Option("--where-performer", help="Only clips of this performer.")
     ] = None,
-    text: Annotated[
-        str | None, typer.Option("--text", "-t", help="Only clips that these words describe (see dousa search).")
-    ] = None,
+    text: Text = None,
+    like: Like = None,
     json: Json = False,
 ) -> None:
     """Change the category or performer of clips or takes; run dousa train to retrain the forest.
@@ -482,7 +514,7 @@ def relabel(
     if category is None and performer is None:
         raise OptionError("library_cli.nothing_to_change")
     with open_library(library) as opened:
-        chosen, _ = choose_clips(opened, _selection(clips), None, TaggedLabels(text=text))
+        chosen, _ = choose_clips(opened, _selection(clips), None, TaggedLabels(text=text, like=like))
         changed = opened.relabel(
             chosen,
             category=UNCHANGED if category is None else category or None,

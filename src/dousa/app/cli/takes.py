@@ -15,7 +15,7 @@ import typer
 
 from dousa.app.cli.library import clip_or_path, open_library, open_to_learn, open_to_read
 from dousa.app.cli.usage import Json, LibraryPath
-from dousa.app.output import print_answer, progress_bar, warn, warn_skipped
+from dousa.app.output import print_answer, progress_bar, say_written, warn, warn_skipped
 from dousa.app.requests.library import LabelRequest
 from dousa.app.requests.reading import Reading
 from dousa.app.targets import check_table, check_targets
@@ -138,6 +138,7 @@ def label(
             _write_labels(answer, csv)
         if picture:
             _draw(opened, answer, picture, options)
+        say_written(csv, picture, json=json)
 
 
 def _write_labels(answer: LabelledTake, path: Path) -> None:
@@ -168,6 +169,7 @@ def _show_given(library: str, take: str, path: Path | None, *, json: bool) -> No
     print_answer(known[0], print_given, json=json)
     if path is not None:
         (write_eaf if path.suffix.lower() == ".eaf" else write_labels_csv)(known[0].rows, path)
+        say_written(path, json=json)
 
 
 def _draw(library: Library, answer: LabelledTake, picture: Path, options: ReadOptions) -> None:

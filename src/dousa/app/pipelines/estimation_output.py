@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -14,7 +12,6 @@ import numpy as np
 from dousa.app.targets import ANGLES, check_targets
 from dousa.errors import JointMappingError, MotionWriteError, OptionError
 from dousa.extras import require
-from dousa.files.disk import atomic_write
 from dousa.messages import Message
 
 if TYPE_CHECKING:
@@ -170,18 +167,11 @@ def write_angles(estimate: Estimate, path: Path) -> None:
     ------
     MotionWriteError : the disk refuses.
     """
-    from dousa.formats.opensim import compute_coordinates
+    from dousa.formats.opensim import compute_coordinates, write_angle_table
 
     try:
         columns = compute_coordinates(estimate.motion)
     except JointMappingError:
         degrees = np.rad2deg(estimate.poses[:, 7:]).T
         columns = dict(zip((f"{name}_deg" for name in estimate.body.angle_names), degrees, strict=True))
-    times = np.arange(estimate.n_frames) / estimate.frame_rate
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["time_s", *columns, "lost"])
-    for row, lost in zip(np.stack((times, *columns.values()), axis=1).tolist(), estimate.lost, strict=True):
-        writer.writerow([*(f"{value:.6f}" for value in row), int(lost)])
-    with atomic_write(path) as file:
-        file.write(text.getvalue().encode())
+    write_angle_table({**columns, "lost": np.asarray(estimate.lost)}, estimate.frame_rate, path)

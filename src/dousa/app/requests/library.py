@@ -133,14 +133,23 @@ class Labels:
     performer: Annotated[str | None, typer.Option("--performer", help="Only clips of this performer.")] = None
 
 
+Text = Annotated[
+    str | None, typer.Option("--text", "-t", help="Only clips that these words describe (see dousa search).")
+]
+Like = Annotated[
+    str | None,
+    typer.Option(
+        "--like", metavar="QUERY", help="Only clips that are like this motion file or clip (see dousa search)."
+    ),
+]
+
+
 @dataclass(frozen=True, slots=True)
 class TaggedLabels(Labels):
-    """Clips of one category, performer or tag, or that words describe."""
+    """Clips of one category, performer or tag, that words describe, or that are like a motion."""
 
-    text: Annotated[
-        str | None, typer.Option("--text", "-t", help="Only clips that these words describe (see dousa search).")
-    ] = None
-
+    text: Text = None
+    like: Like = None
     tag: Annotated[str | None, typer.Option("--tag", help="Only clips with this tag.")] = None
 
 

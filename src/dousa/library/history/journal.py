@@ -35,8 +35,8 @@ class JournalEntry(Answer):
     ----------
     number : of the change; later ones have higher numbers.
     made_at : ISO 8601, UTC.
-    kind : ``"add"``, ``"remove"``, ``"relabel"``, ``"tag"``, ``"label"`` (tables of labels of takes) or ``"name"`` (a
-        part of a take, by hand).
+    kind : ``"add"``, ``"move"`` (files that were added again from where they are now), ``"remove"``, ``"relabel"``,
+        ``"tag"``, ``"label"`` (tables of labels of takes) or ``"name"`` (a part of a take, by hand).
     n_clips : number of clips and takes.
     what : description.
     is_undone : whether it was undone and can be redone.
@@ -121,6 +121,7 @@ def describe(kind: str, n: int, values: dict[str, Any]) -> Message:
         return Message("journal.named", category=values.get("category", "?"))
     simple: dict[str, Callable[[int], Message]] = {
         "add": lambda n: Message("journal.added", n=n),
+        "move": lambda n: Message("journal.moved", n=n),
         "remove": lambda n: Message("journal.removed", n=n),
         "label": lambda n: Message("journal.labelled", n=n),
     }

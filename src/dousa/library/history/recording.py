@@ -38,7 +38,7 @@ from dousa.library.store.rows import delete_rows, fetch_in, fetch_rows, insert_r
 from dousa.library.store.selection import delete_clips, save_tags, with_segments
 
 Marks = dict[int, dict[str, Any]]
-"""By number: category, performer and tags of clips."""
+"""By number: path, category, performer and tags of clips."""
 
 
 @dataclass(slots=True)
@@ -153,7 +153,7 @@ def recording(
     now = read_tables(connection, tables)
     made.annotations = [(take, before, now[take]) for take, before in tables.items() if before != now[take]]
     if made.clips:
-        _finish(connection, number, made, known)
+        _finish(connection, number, kind, made, known)
         whole.number = number
     elif known is None:
         delete_rows(connection, schema.journal, [number])
@@ -172,13 +172,15 @@ def _begin(connection: sa.Connection, number: int, kind: str, values: dict[str, 
     insert_rows(connection, schema.journal, [row])
 
 
-def _finish(connection: sa.Connection, number: int, made: Changes, known: Any) -> None:
+def _finish(connection: sa.Connection, number: int, kind: str, made: Changes, known: Any) -> None:
     # Replacing files count once; removed segments count without the takes whose tables change.
     changes, n_clips = made.to_json(), len(made.new) or len(made.gone) or len(made.clips)
     if known is not None:
         changes = {name: join_spans(known.changes[name], changes[name]) for name in changes}
         n_clips += known.n_clips
-    update_rows(connection, JOURNAL, {number: {"n_clips": n_clips, "changes": changes}})
+    if known is not None and (known.kind, kind) != ("move", "add"):  # of files that moved, later ones may be new
+        kind = known.kind
+    update_rows(connection, JOURNAL, {number: {"kind": kind, "n_clips": n_clips, "changes": changes}})
     keep_within_bounds(connection, number)
 
 
@@ -194,12 +196,13 @@ def _next_number(connection: sa.Connection) -> int:
 
 
 def read_marks(connection: sa.Connection, ids: Sequence[int]) -> Marks:
-    """Read the category, performer and tags of clips."""
+    """Read the path, category, performer and tags of clips."""
     clips, tags = schema.clips.c, schema.clip_tags.c
-    query = sa.select(clips.id, clips.category, clips.performer, tags.tags)
+    query = sa.select(clips.id, clips.path, clips.category, clips.performer, tags.tags)
     query = query.join(schema.clip_tags, tags.clip_id == clips.id, isouter=True)
     rows = fetch_in(connection, query, clips.id, ids)
-    return {r.id: {"category": r.category, "performer": r.performer, "tags": r.tags or []} for r in rows}
+    names = ("path", "category", "performer")
+    return {row.id: {**{name: getattr(row, name) for name in names}, "tags": row.tags or []} for row in rows}
 
 
 def _compare(before: Marks, after: Marks) -> list[tuple[str, Any, Any, list[int]]]:
@@ -291,10 +294,14 @@ class _Step:
                 )
 
     def _check_labels(self) -> None:
+        there = read_marks(self.connection, sorted({number for *_, ids in self.changes.labels for number in ids}))
+        renamed = {}
         for name, before, after, ids in self.changes.labels:
-            expected = before if self.redo else after
-            there = read_marks(self.connection, ids)
+            expected, wanted = (before, after) if self.redo else (after, before)
             self._refuse(number for number in ids if there.get(number, {name: ...})[name] != expected)
+            renamed |= dict.fromkeys(ids, wanted) if name == "path" else {}
+        taken = self._fetch(schema.clips.c.id, schema.clips.c.path, list(renamed.values()))
+        self._refuse(number for number in taken if number not in renamed and number not in self.leaving)
 
     def _check_tables(self) -> None:
         there = read_tables(self.connection, [take for take, _, _ in self.changes.annotations])
@@ -341,12 +348,15 @@ class _Step:
             )
 
     def _set_labels(self) -> None:
+        labels: dict[int, dict[str, Any]] = {}
         for name, before, after, ids in self.changes.labels:
             value = after if self.redo else before
             if name == "tags":
                 save_tags(self.connection, dict.fromkeys(ids, tuple(value)))
             else:
-                update_rows(self.connection, LABELS, {number: {name: value} for number in ids})
+                for number in ids:
+                    labels.setdefault(number, {})[name] = value
+        update_rows(self.connection, LABELS, labels)
 
     def _set_tables(self) -> None:
         table = schema.take_annotations

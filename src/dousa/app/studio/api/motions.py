@@ -24,6 +24,7 @@ from dousa.app.studio.content.motions import (
 )
 from dousa.app.studio.content.studio import Studio, StudioNow
 from dousa.app.studio.core.answers import FILE, Answer, RefusedError, attachment, say
+from dousa.formats.exchange.programs import find_program
 from dousa.formats.parts import file_of
 from dousa.library.export import ORIGINAL, ExportFormat, list_formats
 from dousa.messages import Message
@@ -154,8 +155,10 @@ class ExportRequest(_Reach):
 
 @export_router.get("/export/formats", summary="What motions can be written as")
 def get_formats() -> Answer:
-    """Names of formats with their suffixes; ``original`` are the files as they were added."""
-    return Answer({"formats": list_formats(), "original": ORIGINAL})
+    """Names of formats with their suffixes; ``original`` are the files as they were added, ``missing`` says what this
+    machine lacks for a format."""
+    missing = {} if find_program("blender") else {"fbx": say(Message("studio_export.needs_blender"))}
+    return Answer({"formats": list_formats(), "original": ORIGINAL, "missing": missing})
 
 
 @export_router.get("/export/character", summary="Whether motions can be put onto a character")

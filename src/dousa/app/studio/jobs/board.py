@@ -167,7 +167,8 @@ class JobBoard:
             self._workspace.job_folder(job.id).mkdir(parents=True)
             self._jobs[job.id] = job
             for old in [job for job in self.all() if job.state not in ACTIVE][_MOST_KEPT:]:
-                self.remove(old.id)
+                with suppress(RefusedError):  # others were made from it
+                    self.remove(old.id)
             self._enqueue(job)
             return job
 
@@ -197,11 +198,13 @@ class JobBoard:
             return job
 
     def remove(self, job_id: str) -> None:
-        """Delete a finished job with its files; RefusedError if it is missing or active."""
+        """Delete a finished job with its files; RefusedError if it is missing, active, or needed by others."""
         with self._lock:
             job = self.get(job_id)
             if job.state in ACTIVE:
                 raise RefusedError(409, "studio_jobs.stop_first")
+            if made := [other for other in self.all() if job_id in json.dumps(other.request)]:
+                raise RefusedError(409, "studio_jobs.made_from", n=len(made), title=made[0].title)
             del self._jobs[job_id]
             self._stops.pop(job_id, None)
             self._saved.pop(job_id, None)

@@ -104,7 +104,7 @@ async function ask(body, { about, original, close, go, spell }) {
     return;
   }
   const names = Object.keys(known.formats).sort((a, b) => (FIRST.indexOf(a) + 1 || 99) - (FIRST.indexOf(b) + 1 || 99));
-  const format = h("select", { id: "export-format" }, ...names.map((name) => h("option", { value: name }, name.toUpperCase())), original ? h("option", { value: known.original }, t("export_original")) : null);
+  const format = h("select", { id: "export-format" }, ...names.map((name) => h("option", { value: name, disabled: name in known.missing }, known.missing[name] ?? name.toUpperCase())), original ? h("option", { value: known.original }, t("export_original")) : null);
   const reach = h("input", { type: "checkbox", id: "export-reach" });
   const reachLine = h("label", { class: "check", hidden: true }, reach, t("export_reach"));
   const send = h("button", { type: "submit", class: "primary", id: "export-go" }, icon("download"), t(original ? "export_go" : "download_file"));
@@ -123,7 +123,7 @@ async function ask(body, { about, original, close, go, spell }) {
   const field = characterField((chosen) => {
     character = chosen;
     const own = chosen?.suffix.slice(1);
-    if (!touched && names.includes(own)) format.value = own;
+    if (!touched && names.includes(own) && !(own in known.missing)) format.value = own;
     update();
   });
   about.onChange = update;

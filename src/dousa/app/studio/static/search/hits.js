@@ -55,6 +55,12 @@ export function openLater(word, load) {
 }
 
 export const nameOf = (hit) => baseName(hit.path);
+
+export async function exportHits(hits) {
+  const { openExport } = await import("../core/exporting.js");
+  openExport([], hits.map((hit) => ({ id: hit.clip_id, name: nameOf(hit), note: hit.category })));
+}
+
 /** How alike each of the hits is, 0 to 1: never more than the one before it. */
 function rateHits(hits) {
   let most = 1;

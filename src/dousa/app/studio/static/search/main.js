@@ -6,7 +6,7 @@ import { dropZone, MOTION_FILES, offerChange, showUntrained, takeMotions } from 
 import { attempt, notify, showProblem } from "../core/notices.js";
 import { pickClips } from "../core/pick.js";
 import { spellingButton } from "../core/spelling.js";
-import { drawPlaces, Hits, nameOf } from "./hits.js";
+import { drawPlaces, exportHits, Hits } from "./hits.js";
 import { Stage } from "./stage.js";
 import { askOf, drawOptions, isSameMotion, isSameSearch, keepState, readState, wholeOf } from "./state.js";
 import { drawAskPart, drawNoVerdict, drawVerdict } from "./verdict.js";
@@ -204,12 +204,6 @@ function tellLearning(mine) {
   };
 }
 
-async function exportHits() {
-  const others = found.results.filter((hit) => !isQuery(hit));
-  const { openExport } = await import("../core/exporting.js");
-  openExport([], others.map((hit) => ({ id: hit.clip_id, name: nameOf(hit), note: hit.category })));
-}
-
 const isQuery = (hit) => hit.motion === state.motion && state.start_s === null && state.end_s === null;
 
 async function searchTakes(mine) {
@@ -252,7 +246,7 @@ async function start() {
     return;
   }
   drawChoosing();
-  $("#export-hits").addEventListener("click", exportHits);
+  $("#export-hits").addEventListener("click", () => exportHits(found.results.filter((hit) => !isQuery(hit))));
   $("#spelling").replaceChildren(spellingButton(() => post("/spelling/search", askOf(state))));
   window.addEventListener("popstate", () => apply(readState()));
   apply(readState());

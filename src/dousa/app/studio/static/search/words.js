@@ -3,7 +3,7 @@
 import { post } from "../core/api.js";
 import { baseName, h, t } from "../core/dom.js";
 import { spellingButton } from "../core/spelling.js";
-import { formatMoment } from "./hits.js";
+import { exportHits, formatMoment } from "./hits.js";
 
 const FIRST = 24;
 
@@ -70,7 +70,8 @@ export class Words {
     const count = t(answer.n_found ? "words_count" : "words_none", { count: answer.n_found, all: answer.n_searched });
     const close = h("button", { type: "button", class: "small", onclick: () => this.tools.onAsk(null) }, t("words_close"));
     const spelled = spellingButton(() => post("/spelling/search/text", { text: this.asked, k: this.k }));
-    const parts = [h("div", { class: "results-head" }, h("h2", {}, t("words_title")), h("p", { class: "note", role: "status" }, count), spelled, close), ...taken];
+    const along = answer.n_found ? h("button", { type: "button", class: "small", id: "export-words", onclick: () => exportHits(answer.results) }, t("export_hits_button")) : "";
+    const parts = [h("div", { class: "results-head" }, h("h2", {}, t("words_title")), h("p", { class: "note", role: "status" }, count), spelled, along, close), ...taken];
     if (!answer.n_found && answer.unknown_words.length) parts.push(h("p", { class: "note" }, t("words_unknown", { words: answer.unknown_words.join(", ") })));
     if (answer.near_words.length) parts.push(h("p", { class: "row" }, t("words_near"), ...answer.near_words.map((word) => h("button", { type: "button", class: "small", onclick: () => this.tools.onAsk(word) }, word))));
     parts.push(h("ol", { class: "word-hits" }, ...answer.results.map((hit) => this.drawHit(hit))));
