@@ -243,8 +243,7 @@ def convert(
     if target.name.lower().endswith(".amass.npz"):
         motion, answer = _put_onto_smpl(motion, target, options, answer)
     write_motion(motion, target)
-    if target.suffix.lower() == ".csv" and not target.name.lower().endswith(".angles.csv"):
-        warn(Message("files_cli.places", path=target))
+    _tell_places(target)
     if json:
         print_json(
             {
@@ -258,6 +257,12 @@ def convert(
         )
     else:
         say(Message("files_cli.converted", path=target, n=motion.n_frames, rate=motion.frame_rate))
+
+
+def _tell_places(table: Path) -> None:
+    """Say that a table holds no angles, where people look for some."""
+    if table.suffix.lower() == ".csv" and not table.name.lower().endswith(".angles.csv"):
+        warn(Message("files_cli.places", path=table))
 
 
 def _put_onto(
