@@ -45,6 +45,15 @@ def studio(
             "--share-films", help="With --share: links that you make for it let others film or upload, into an inbox."
         ),
     ] = False,
+    vmc: Annotated[
+        str,
+        typer.Option(
+            "--vmc",
+            metavar="HOST:PORT",
+            help="Send the motion of the page Live to an avatar, by VMC; most listen at 127.0.0.1:39539.",
+            show_default=False,
+        ),
+    ] = "",
     no_browser: Annotated[
         bool, typer.Option("--no-browser", help="Only print the address; do not open a browser.")
     ] = False,
@@ -67,7 +76,7 @@ def studio(
     from dousa.app.studio import Settings, find_share_address, serve
 
     shared = find_share_address(share_on) if share or share_films or share_on is not None else None
-    settings = Settings(library, port=port, home=home)
+    settings = Settings(library, port=port, home=home, vmc=vmc)
     serve(settings, opens_browser=not no_browser, watched=watch, shared=shared, takes_films=share_films)
 
 

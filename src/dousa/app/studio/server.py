@@ -87,8 +87,8 @@ def serve(
             running = ask_running(settings.folder, settings.library)
             if running is None:
                 raise
-            if watched is not None or shared is not None:
-                option = "--watch" if shared is None else "--share"
+            asked = {"--watch": watched, "--share": shared, "--vmc": settings.vmc}
+            for option in (name for name, value in asked.items() if value):
                 raise OptionError("studio.cannot_watch", library=settings.library, option=option) from None
             _show_running(settings, running, opens_browser)
             return

@@ -45,7 +45,11 @@ def fit_motion(motion: Trajectories | CanonicalMotion) -> Motion:
     JointMappingError : trajectories that cannot be canonicalised, or a part of a body.
     """
     canonical = require_whole(motion if isinstance(motion, CanonicalMotion) else canonicalise(motion))
-    points = canonical.positions
+    return fit_points(canonical.positions, canonical.frame_rate)
+
+
+def fit_points(points: FloatArray, frame_rate: float) -> Motion:
+    """Compute the rotations of `fit_motion` from canonical joints (T, 20, 3), m, Y up; Hz."""
     frames = {
         J["pelvis"]: _frames(points, "left_hip", "right_hip", "pelvis", "spine"),
         J["spine"]: _frames(points, "left_shoulder", "right_shoulder", "spine", "neck"),
@@ -56,7 +60,7 @@ def fit_motion(motion: Trajectories | CanonicalMotion) -> Motion:
     translations = np.tile(offsets, (len(points), 1, 1))
     translations[:, J["pelvis"]] = points[:, J["pelvis"]]
     skeleton = Skeleton(CANONICAL_JOINTS, np.array(CANONICAL_PARENTS), offsets)
-    return Motion(skeleton, rotations, translations, canonical.frame_rate)
+    return Motion(skeleton, rotations, translations, frame_rate)
 
 
 def _unit(vectors: FloatArray, instead: tuple[float, float, float]) -> FloatArray:

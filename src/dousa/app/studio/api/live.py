@@ -28,10 +28,12 @@ class LiveRequest(StrictModel):
 
 @router.get("/live", summary="Whether people can be found in pictures here")
 def describe_live(studio: StudioNow) -> Answer:
-    """``problem`` names what to install; null if nothing is missing. ``trained``: whether there are labels."""
+    """``problem`` names what to install; null if nothing is missing. ``trained``: whether there are labels.
+    ``vmc``: where the motion is sent."""
     problem = live.find_problem(studio.workspace.root)
     trained = studio.library.stats().trained_at is not None
-    return Answer({"problem": None if problem is None else say(problem), "trained": trained, "bones": list_bones()})
+    said = None if problem is None else say(problem)
+    return Answer({"problem": said, "trained": trained, "bones": list_bones(), "vmc": studio.settings.vmc})
 
 
 @router.post("/live", status_code=201, summary="Begin to watch a camera")
@@ -42,7 +44,8 @@ def begin(studio: StudioNow, wanted: LiveRequest) -> Answer:
         finder = live.open_finder()
     except DousaError as error:
         raise RefusedError(409, name_error(error, studio.workspace.root)) from None
-    session = live.LiveSession(finder, studio.library, references)
+    sent = () if studio.vmc is None else (studio.vmc.push,)
+    session = live.LiveSession(finder, studio.library, references, *sent)
     studio.live.begin(session)
     return Answer({"id": session.id}, 201)
 

@@ -192,6 +192,7 @@ class LiveSession:
     finder : see `open_finder`.
     library : labels the motion if it is trained.
     references : takes with which the performance is compared; without any nothing is graded.
+    send : is given the canonical joints (20, 3), m, of each picture.
     rate : Hz, at which the performance is compared, whatever the rate of the pictures; a higher one takes longer.
     grade_every : s between two grades.
     """
@@ -201,6 +202,7 @@ class LiveSession:
         finder: Finder,
         library: Library,
         references: Sequence[CanonicalMotion],
+        send: Callable[[FloatArray], None] = lambda points: None,
         *,
         rate: float = 15.0,
         grade_every: float = 3.0,
@@ -209,6 +211,7 @@ class LiveSession:
         self.id = secrets.token_hex(8)
         self.used = time.monotonic()
         self._finder, self._library, self._references = finder, library, tuple(references)
+        self._send = send
         self._lock = threading.Lock()
         self._labeller: LiveLabeller | None = None
         self._label: dict[str, Any] | None = None
@@ -267,6 +270,7 @@ class LiveSession:
             points = to_canonical(seen, size)
         except DousaError:  # such as a person half outside of the picture
             return
+        self._send(points)
         # s without a person, after which label and grade start again
         if self._last is not None and not 0 < seconds - self._last[0] <= 1.5:
             self._begin_anew()

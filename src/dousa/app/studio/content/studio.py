@@ -23,6 +23,7 @@ from dousa.app.studio.core.answers import Gate
 from dousa.app.studio.core.workspace import Settings, Workspace
 from dousa.app.studio.jobs.board import JobBoard, Lane
 from dousa.app.studio.jobs.lanes import Reader, answer_question
+from dousa.app.vmc import VmcSender
 from dousa.errors import LibraryError
 from dousa.messages import Message
 
@@ -76,6 +77,7 @@ class Studio:
 
     def __init__(self, settings: Settings, make_lanes: Callable[[Studio], Mapping[str, Lane]]) -> None:
         self.settings = settings
+        self.vmc = VmcSender(settings.vmc) if settings.vmc else None
         self._opening = threading.Lock()
         self._library: Library | None = None
         self._file: tuple[int, int] | None = None
@@ -139,6 +141,8 @@ class Studio:
         """Stop all work and sharing, and close the library."""
         if self.sharing is not None:
             self.sharing.end()
+        if self.vmc is not None:
+            self.vmc.end()
         self.jobs.close()
         self.reader.close()
         self.asker.close()

@@ -123,6 +123,7 @@ class Settings:
     most_unpacked_bytes : of all files of one zip archive, and of one batch of uploads.
     most_files : of one batch of uploads.
     most_memory : bytes of a process that reads an upload.
+    vmc : ``HOST:PORT`` of a program that shows an avatar, to which the page Live sends the motion; none if empty.
     """
 
     library: Path
@@ -135,6 +136,7 @@ class Settings:
     most_unpacked_bytes: int = 4_000_000_000
     most_files: int = 20_000
     most_memory: int = 2_000_000_000
+    vmc: str = ""
 
     def __post_init__(self) -> None:
         if not 0 <= self.port <= 65535:

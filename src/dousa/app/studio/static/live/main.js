@@ -87,6 +87,7 @@ async function begin() {
   const known = await get("/live").catch((error) => ({ problem: error.message, bones: [] }));
   Object.assign(state, { bones: known.bones, trained: known.trained });
   problem(known.problem);
+  $("#live-vmc").textContent = known.vmc ? t("vmc", { address: known.vmc }) : "";
   $("#live-start").disabled = Boolean(known.problem);
   const asked = new URLSearchParams(location.search).get("reference");
   if (asked) state.reference = { motion: asked, name: asked };
