@@ -42,6 +42,7 @@ def test_trajectories_are_the_canonical_joints(library, moves):
 def test_the_same_file_twice_is_no_change(library, moves):
     before = library.stats()
     report = library.add(moves)
+    assert "unchanged=<15 in a tuple>" in repr(report)  # in a notebook too
     assert (len(report.unchanged), report.added, report.bytes) == (15, (), 0)
     assert library.stats() == before
     assert library.add(moves, category_from="name:([a-z])").other_labels == report.unchanged  # and not taken

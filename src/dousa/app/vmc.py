@@ -128,5 +128,5 @@ class VmcSender:
                 shown = None
                 continue
             shown = newest if shown is None else _approach(shown, newest, self._share)
-            with suppress(OSError):  # nobody listens there yet
+            with suppress(OSError):  # no program listens there yet
                 self._socket.sendto(encode_pose(shown, now - begun), self._to)

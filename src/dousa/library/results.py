@@ -234,6 +234,7 @@ class Duplicate(Answer):
     same_as: str
 
 
+@short_repr
 @dataclass(frozen=True, slots=True)
 class AddReport(Answer):
     """The result of ``Library.add``.
@@ -282,6 +283,7 @@ class AddReport(Answer):
         }
 
 
+@short_repr
 @dataclass(frozen=True, slots=True)
 class TrainReport(Answer):
     """The result of ``Library.train``.

@@ -214,7 +214,6 @@ def convert(
 
     Example: dousa convert take.amc take.bvh --frame-rate 30
     """
-    from dousa.formats.registry import write_motion
     from dousa.motion import Motion, resample
 
     options = reading.load()
@@ -242,8 +241,7 @@ def convert(
         warn(Message("files_cli.fitted", path=source, error=1000 * fit_error))
     if target.name.lower().endswith(".amass.npz"):
         motion, answer = _put_onto_smpl(motion, target, options, answer)
-    write_motion(motion, target)
-    _tell_places(target)
+    _write(motion, target)
     if json:
         print_json(
             {
@@ -259,10 +257,13 @@ def convert(
         say(Message("files_cli.converted", path=target, n=motion.n_frames, rate=motion.frame_rate))
 
 
-def _tell_places(table: Path) -> None:
-    """Say that a table holds no angles, where people look for some."""
-    if table.suffix.lower() == ".csv" and not table.name.lower().endswith(".angles.csv"):
-        warn(Message("files_cli.places", path=table))
+def _write(motion: Motion | Trajectories, target: Path) -> None:
+    """Write a motion, and say that a table holds no angles, where people look for some."""
+    from dousa.formats.registry import write_motion
+
+    write_motion(motion, target)
+    if target.suffix.lower() == ".csv" and not target.name.lower().endswith(".angles.csv"):
+        warn(Message("files_cli.places", path=target))
 
 
 def _put_onto(

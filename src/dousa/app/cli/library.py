@@ -91,9 +91,9 @@ def choose_clips(
             raise LibraryError("library_clips.none_of_text", library=library.name, text=text)
         chosen = found
     if like is not None:
-        chosen = _keep_named(library, _find_alike(library, like), chosen)
+        chosen = _keep_named(library, _find_like(library, like), chosen)
         if not chosen:
-            raise LibraryError("library_clips.none_alike", library=library.name, query=like)
+            raise LibraryError("library_clips.none_like", library=library.name, query=like)
     return chosen, labels
 
 
@@ -102,7 +102,7 @@ def _keep_named(library: Library, found: list[int], named: list[int | str]) -> l
     return [number for number in found if number in among]
 
 
-def _find_alike(library: Library, query: str) -> list[int]:
+def _find_like(library: Library, query: str) -> list[int]:
     """The clips that mean the same as a motion; the most similar ones where the library has not learned that."""
     wanted = clip_or_path(query)
     found = library.search(wanted)

@@ -46,13 +46,7 @@ def studio(
         ),
     ] = False,
     vmc: Annotated[
-        str,
-        typer.Option(
-            "--vmc",
-            metavar="HOST:PORT",
-            help="Send the motion of the page Live to an avatar, by VMC; most listen at 127.0.0.1:39539.",
-            show_default=False,
-        ),
+        str, typer.Option("--vmc", metavar="HOST:PORT", help="Send what the page Live sees to an avatar (VMC).")
     ] = "",
     no_browser: Annotated[
         bool, typer.Option("--no-browser", help="Only print the address; do not open a browser.")

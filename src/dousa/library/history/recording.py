@@ -295,7 +295,7 @@ class _Step:
 
     def _check_labels(self) -> None:
         there = read_marks(self.connection, sorted({number for *_, ids in self.changes.labels for number in ids}))
-        renamed = {}
+        renamed: dict[int, Any] = {}
         for name, before, after, ids in self.changes.labels:
             expected, wanted = (before, after) if self.redo else (after, before)
             self._refuse(number for number in ids if there.get(number, {name: ...})[name] != expected)
