@@ -18,30 +18,30 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_377, 116),
+    "app": (25_580, 117),
     "estimation": (16_560, 69),
     "evaluation": (12_110, 46),
     "experiments": (1_705, 8),
     "files": (1_149, 8),
-    "formats": (13_063, 68),
-    "library": (15_630, 56),
+    "formats": (13_097, 68),
+    "library": (15_649, 56),
     "messages": (235, 3),
-    "motion": (6_485, 34),
+    "motion": (6_489, 34),
     "retrieval": (12_901, 47),
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 61_889,
-    "lines of JavaScript": 12_547,
-    "constants": 1_049,
+    "lines of tests": 62_071,
+    "lines of JavaScript": 12_549,
+    "constants": 1_052,
     "numeric constants without a source": 5,
     "functions over 60 lines": 15,
     "files over 650 lines": 0,
     "folders with more than 15 files": 0,
-    "lines with words that a native reader stumbles over": 62,
+    "lines with words that a native reader stumbles over": 64,
     "hand-written runs of a mask": 3,
     "commands": 32,
-    "options": 193,
+    "options": 199,
 }
 
 _LONG_FUNCTION, _LONG_FILE, _LARGE_FOLDER = 60, 650, 15
