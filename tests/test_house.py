@@ -18,21 +18,21 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_580, 117),
+    "app": (25_582, 117),
     "estimation": (16_560, 69),
     "evaluation": (12_110, 46),
     "experiments": (1_705, 8),
     "files": (1_149, 8),
     "formats": (13_097, 68),
-    "library": (15_649, 56),
+    "library": (15_669, 56),
     "messages": (235, 3),
     "motion": (6_489, 34),
-    "retrieval": (12_901, 47),
+    "retrieval": (12_912, 47),
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 62_071,
-    "lines of JavaScript": 12_549,
+    "lines of tests": 62_097,
+    "lines of JavaScript": 12_550,
     "constants": 1_052,
     "numeric constants without a source": 5,
     "functions over 60 lines": 15,

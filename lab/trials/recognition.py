@@ -243,10 +243,11 @@ def ask_dousa(learned: Described, train: np.ndarray, asked: Described, test: np.
     parts = [learned.features[train], copies.features, strangers.beside]
     basis = fit_pose_basis(parts, SET)
     labels = learned.labels[train]
+    size = float(np.median(np.unique(labels, return_counts=True)[1]))
     space = basis.fit(np.concatenate([basis.place(part) for part in parts]), np.append(labels, labels[copies.rows]))
 
     def weigh_clips(features: np.ndarray) -> np.ndarray:
-        return weigh(forest.predict_proba(features), PlacedClips.of(space, features).order(forest.classes_))
+        return weigh(forest.predict_proba(features), PlacedClips.of(space, features).order(forest.classes_), size)
 
     own, mirrored = weigh_clips(asked.features[test]), weigh_clips(asked.mirrored[test])
     as_seen = (own.max(axis=1) + MIRROR_ODDS >= mirrored.max(axis=1))[:, None]

@@ -16,6 +16,7 @@ from dousa.library.search.search import Group, rank_groups
 from dousa.library.store.forests import TreeAnswers
 from dousa.motion import canonicalise, compute_trajectories
 from dousa.motion.canonical.canonicalise import mirror_canonical
+from dousa.retrieval.forest.calibration import _PRIORS
 from dousa.retrieval.ranking.ranking import RANKINGS
 from made_clips import write_clip, write_clips
 
@@ -133,6 +134,31 @@ def test_with_few_categories_nothing_is_unknown(empty_library, moves):
     assert empty_library.train(n_trees=5).calibration is None
     verdict = empty_library.search(moves / "squat" / "squat_p0.bvh").verdict
     assert (verdict.known, verdict.confidence, verdict.category) == (None, None, verdict.guess)
+
+
+def test_of_single_examples_poses_decide_too(empty_library, moves):
+    empty_library.add(sorted(moves.glob("*/*_p0.bvh")), category_from="name:([a-z]+)")
+    calibration = empty_library.train(n_trees=5).calibration
+    assert calibration is not None and calibration.known == _PRIORS[0][0]
+    answers = empty_library.classify(sorted(moves.glob("*/*_p[123].bvh")))
+    assert [answer.verdict.guess for answer in answers] == [name for name in ("bow", "squat", "wave") for _ in range(3)]
+    assert all(answer.verdict.confidence > 0 for answer in answers)
+
+
+@pytest.mark.parametrize(
+    ("category", "code"),
+    [(r"name:_p(\d)", "only_numbers"), (r"name:_(p\d)", "not_recognised"), ("name:([a-z]+)", None)],
+)
+def test_sessions_for_categories_are_told(empty_library, moves, category, code):
+    empty_library.add(moves, category_from=category, performer_from="none")
+    doubt = empty_library.train(n_trees=10).doubt
+    assert (doubt and doubt.code) == (code and f"library_training.{code}")
+
+
+def test_people_for_categories_are_told(empty_library, moves):
+    people = r"name:_(p\d)"
+    empty_library.add(moves, category_from=people, performer_from=people)
+    assert empty_library.train(n_trees=10).doubt.code == "library_training.one_person_each"
 
 
 @pytest.fixture

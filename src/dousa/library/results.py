@@ -299,6 +299,7 @@ class TrainReport(Answer):
     seconds : time it took.
     n_partial : clips that lack joints it uses; separate forests handle them.
     hidden : joints it does not use because most clips lack them.
+    doubt : a sign that the categories do not say what is done, as where folders are recording sessions.
     """
 
     feature_set: str
@@ -311,6 +312,7 @@ class TrainReport(Answer):
     seconds: float
     n_partial: int = 0
     hidden: tuple[str, ...] = ()
+    doubt: Message | None = None
 
 
 @dataclass(frozen=True, slots=True)

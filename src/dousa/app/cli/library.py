@@ -264,6 +264,8 @@ def train(context: typer.Context, library: LibraryPath, *, request: TrainRequest
         warn(Message("library_cli.unlabelled", n=report.n_unlabelled))
     if report.single:
         warn(Message("library_cli.single_clips", categories=report.single))
+    if report.doubt:
+        warn(report.doubt)
 
 
 def search(

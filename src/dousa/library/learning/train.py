@@ -41,6 +41,7 @@ from dousa.messages import Message, Progress
 from dousa.retrieval import MotionForest
 from dousa.retrieval.features.feature_sets import FeatureSet
 from dousa.retrieval.features.posed_motion import is_comparable
+from dousa.retrieval.forest.calibration import Calibration, guess_performers
 from dousa.retrieval.forest.likeness import LikenessLearner
 from dousa.retrieval.takes.label import TakeLabeller
 from dousa.workers.threads import limit_blas
@@ -116,19 +117,36 @@ def train_forest(
     make_window_files(database, stored, n_jobs, tell.of_files)
     tell(6, Message("library_training.done"))
     n_clips, n_labelled = len(answers.clips.ids), sum(counts.values())
+    calibration = None if stored.assessor is None else stored.assessor.calibration
     done = TrainReport(
         feature_set=kind.name,
         n_trees=int(forest.get_params()["n_trees"]),
         n_clips=n_labelled,
         n_unlabelled=n_clips - n_labelled,
         categories=counts,
-        calibration=None if stored.assessor is None else stored.assessor.calibration,
+        calibration=calibration,
         single=tuple(name for name, count in counts.items() if count == 1),
         n_partial=n_partial,
         hidden=kind.hidden,
+        doubt=_doubt_categories(answers.clips, counts, calibration),
         seconds=time.perf_counter() - start,
     )
     return stored, done
+
+
+def _doubt_categories(clips: ClipFeatures, counts: dict[str, int], calibration: Calibration | None) -> Message | None:
+    """Return why categories, with their numbers of clips, may be recording sessions or people rather than actions."""
+    people = zip(clips.categories, clips.performers, guess_performers(clips.heights), strict=True)
+    done_by = {(category, performer or guess) for category, performer, guess in people if category is not None}
+    several = len({person for _, person in done_by}) > 1 and min(counts.values()) > 1
+    some = [*counts][:3]
+    if not any(map(str.isalpha, "".join(counts))):
+        return Message("library_training.only_numbers", categories=some)
+    if several and len(done_by) == len(counts):
+        return Message("library_training.one_person_each", categories=some)
+    if calibration is not None and calibration.false_alarms > 0.5:
+        return Message("library_training.not_recognised", categories=some)
+    return None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -177,7 +177,7 @@ def judge(stored: StoredForest, answers: TreeAnswers, features: FloatArray, thre
     """
     shares = answers.shares()
     if stored.assessor is None or not len(shares):
-        odds = weigh(shares, None)
+        odds = weigh(shares, None, 1.0)
         return [_name(stored, own, int(row.argmax()), float(row.max())) for own, row in zip(shares, odds, strict=True)]
     seen = stored.assessor.assess(answers.leaves, features)
     unknown = seen.unknown if threshold is None else seen.confidence < threshold

@@ -297,7 +297,7 @@ def learn_calibration(
     watch : called in each round, see ``Watch``.
     alien : share of the made-up gestures that a possibly known motion must exceed in probability.
 
-    Raises TrainingError: fewer than 3 categories, or too few clips to hold some back.
+    Raises TrainingError: fewer than 3 categories, or neither clips to hold back nor copies.
     """
     labels = np.asarray(categories)
     labels = labels.astype(np.str_) if labels.dtype == object else labels
@@ -305,14 +305,20 @@ def learn_calibration(
     if len(names) < 3:
         raise TrainingError("calibration.categories", count=len(names))
     people = [None] * len(labels) if performers is None else performers
-    judge = _Judge.of(forest.get_params(), features, labels, feature_set, copies, watch)
     rounds = list(_draw_rounds(labels, people, random_state))
+    fitted = bool(rounds)
+    if not fitted and copies is not None:
+        # As of one clip of each category: the copies stand for another person, but are too like the clips for curves.
+        people = ["as recorded"] * len(labels) + ["disturbed"] * len(copies.rows)
+        features, labels = np.concatenate([features, copies.features]), np.append(labels, labels[copies.rows])
+        copies = watch = None
+        rounds = list(_draw_rounds(labels, people, random_state))
+    if not rounds:
+        raise TrainingError("calibration.clips")
+    judge = _Judge.of(forest.get_params(), features, labels, feature_set, copies, watch)
     # One worker a round, as small forests are not worth dividing.
     seen = map_pieces(lambda number: judge.hold(number, *rounds[number]), range(len(rounds)), forest.n_jobs, 1)
-    if not seen:
-        raise TrainingError("calibration.clips")
-    space = judge.fit_space(slice(None))
-    return _summarise(seen, space, alien)
+    return _summarise(seen, judge.fit_space(slice(None)), alien, fitted)
 
 
 def guess_performers(heights: ArrayLike, within: float = 0.04) -> tuple[str, ...]:
@@ -441,6 +447,7 @@ def _summarise(
     rounds: list[_Round],
     poses: PoseSpace,
     alien: float,
+    fitted: bool,
     threshold: float = 0.5,
     lost: int = 20,
     least_known: tuple[float, float] = (0.5, 0.97),
@@ -450,6 +457,7 @@ def _summarise(
     Parameters
     ----------
     alien : as for ``learn_calibration``.
+    fitted : whether curves are fitted, or those of the other data sets used as they are.
     threshold : of the calibration.
     lost : % of the disturbed motions of held-back people called unknown; the full library knows more.
     least_known : the lowest and the highest ``Calibration.least_known``.
@@ -460,11 +468,10 @@ def _summarise(
     )
     usual, own = learn_usual(seen, guess, right & ~copied, poses.categories)
     evidence, weights = relate_to_usual(seen, own), _weigh(kinds, copied)
-    priors = [curves[0 if len(poses.others) else 1] for curves in _PRIORS]
-    known, sure = (
-        fit_curve(evidence, positive, weights, prior)
-        for positive, prior in zip((kinds == _KNOWN, right), priors, strict=True)
-    )
+    known, sure = (curves[0 if len(poses.others) else 1] for curves in _PRIORS)
+    if fitted:
+        known = fit_curve(evidence, kinds == _KNOWN, weights, known)
+        sure = fit_curve(evidence, right, weights, sure)
     belongs = known.evaluate(evidence)
     confidence = np.minimum(sure.evaluate(evidence), belongs)
     own = kinds == _KNOWN

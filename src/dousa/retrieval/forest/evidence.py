@@ -51,6 +51,7 @@ class VoteScale:
         pairs = np.bincount(trees.leaf_classes, counts**2, trees.n_classes) / n_trees
         usual = (pairs - sizes) / np.maximum(sizes * (sizes - 1.0), 1e-9)
         alone = sizes < 1.5
+        self._size = max(float(np.median(sizes)), 1.0)
         usual[alone] = np.median(usual[~alone]) if (~alone).any() else 1.0
         weight = 1.0 / (np.maximum(sizes, 1.0) * np.maximum(usual, 1e-3))
         self._entries = (trees.leaf_starts, trees.leaf_classes, counts * weight[trees.leaf_classes])
@@ -84,7 +85,7 @@ class VoteScale:
         votes = self._forest.histograms_of(wide)
         near = np.zeros_like(votes)
         kernels.count_leaves(wide, *self._entries, near)
-        odds, rows = weigh(votes, cosines), np.arange(len(votes))
+        odds, rows = weigh(votes, cosines, self._size), np.arange(len(votes))
         guess = odds.argmax(axis=1) if guess is None else guess
         first = votes[rows, guess]
         votes[rows, guess] = -1.0
@@ -97,10 +98,13 @@ _LEAST_SHARE = 0.02  # added to shares of the votes before their logarithm (docs
 _POSES = 10.0  # logits for a cosine of 1 (docs/retrieval.md)
 
 
-def weigh(votes: FloatArray, cosines: FloatArray | None) -> FloatArray:
-    """Return the log odds (N, C), but for a constant, of the categories by votes and by cosines of the poses."""
+def weigh(votes: FloatArray, cosines: FloatArray | None, size: float) -> FloatArray:
+    """Return the log odds (N, C), but for a constant, of the categories by votes and by cosines of the poses.
+
+    ``size`` is the usual number of clips of a category: of single ones votes say little, so poses count twice as much.
+    """
     odds: FloatArray = np.log(votes + _LEAST_SHARE)
-    return odds if cosines is None else odds + _POSES * cosines
+    return odds if cosines is None else odds + _POSES * (1.0 + size**-2) * cosines
 
 
 def learn_usual(

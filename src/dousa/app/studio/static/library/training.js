@@ -103,6 +103,7 @@ function result(report) {
     h("p", {}, calibrationWords(report.calibration)),
     report.n_unlabelled ? h("p", { class: "note" }, t("unlabelled_note", { count: count.format(report.n_unlabelled) })) : null,
     report.single.length ? h("p", { class: "note" }, t("single_note", { names: report.single.join(", ") })) : null,
+    report.doubt ? h("p", { class: "note" }, report.doubt) : null,
     h("details", {}, h("summary", {}, t("clips_by_category")), h("div", { class: "scroll bars" }, ...names.map(([name, number]) => bar(name, number, names[0][1])))),
   ].filter(Boolean);
 }
