@@ -3,7 +3,8 @@
 Walking and turning on six skeletons of foreign producers, each onto the other five. Contacts are found in the source by
 a rule of this program's own, not by dousa's: a joint of the foot at most 5 cm above the 5th percentile of its heights
 and slower than 0.25 m/s, for a tenth of a second. Skating is how far the joint of the character is from its median
-place in each contact: the 95th percentile over the frames of a pair. Direction: mean angle between upper and lower arms
+place in each contact: the 95th percentile over the frames of a pair; likewise how far standing toes are over or under
+the height at which the character's stand. Direction: mean angle between upper and lower arms
 and legs of source and character.
 
 The peers: upc-pymotion's ``from_root_positions`` turns each joint to where the source's next joint is (it moves no
@@ -32,6 +33,7 @@ from dousa.motion.canonical.joints import JOINT_INDEX as J
 from dousa.motion.kinematics import forward_kinematics
 from dousa.motion.retargeting import measure_directions
 from dousa.motion.retargeting.rig import LIMB_NAMES, SIDES, build_rig
+from dousa.motion.retargeting.transfer import find_floor
 from dousa.motion.rotations import conjugate, multiply, rotate
 from lab.places import SHARED_DATA
 
@@ -131,16 +133,19 @@ def find_contacts(points: np.ndarray, rate: float) -> list[slice]:
     return [slice(start, end) for start, end in pairs if end - start >= SHORTEST * rate]
 
 
-def measure(source: Body, target: Body, joints: np.ndarray) -> tuple[float, float]:
-    """Skating in cm and direction error in degrees."""
-    away = []
+def measure(source: Body, target: Body, joints: np.ndarray) -> tuple[float, float, float]:
+    """Skating in cm, direction error in degrees, and how far standing toes are beside the floor, in cm."""
+    away, off = [], [np.zeros(1)]
+    floor = find_floor(source.canonical, source.rig) + target.rig.foot_heights()[1]
     for name in FEET:
         if name in source.rig.joints and name in target.rig.joints:
             for stretch in find_contacts(source.canonical.positions[:, J[name]], source.motion.frame_rate):
                 stand = joints[stretch, J[name]]
                 away.append(np.linalg.norm(stand - np.median(stand, axis=0), axis=1))
+                off += [np.abs(stand[:, 1] - floor)] if name.endswith("toe") else []
     angles = measure_directions(source.canonical, joints, J)
-    return 100 * float(np.percentile(np.concatenate(away), 95)), float(np.degrees(angles.mean()))
+    least, high = (100 * float(np.percentile(np.concatenate(some), 95)) for some in (away, off))
+    return least, float(np.degrees(angles.mean())), high
 
 
 def measure_air(person: str) -> None:
@@ -228,12 +233,13 @@ def main() -> None:
     except ImportError:
         print("upc-pymotion is not installed; run: pip install 'dousa[bench]'")
     pairs = list(itertools.permutations(bodies.values(), 2))[: options.pairs]
-    print("| method | skating: mean, worst pair (cm) | direction: mean, worst pair (deg) |\n| --- | --- | --- |")
-    own = np.array([measure(body, body, body.canonical.positions)[0] for body in bodies.values()])
-    print(f"| the recordings themselves | {own.mean():.2f}, {own.max():.2f} | |")
+    heads = ("skating", "direction (deg)", "standing toes beside the floor")
+    print("| method | " + " | ".join(f"{head}: mean, worst pair" for head in heads) + " |\n" + "| --- " * 4 + "|")
+    own = np.array([measure(body, body, body.canonical.positions) for body in bodies.values()])
+    print(f"| the recordings themselves | {own[:, 0].mean():.2f}, {own[:, 0].max():.2f} | | |")
     for name, method in methods.items():
-        skating, angle = np.array([measure(*pair, method(*pair)) for pair in pairs]).T
-        print(f"| {name} | {skating.mean():.2f}, {skating.max():.2f} | {angle.mean():.2f}, {angle.max():.2f} |")
+        cells = np.array([measure(*pair, method(*pair)) for pair in pairs]).T
+        print(f"| {name} | " + " | ".join(f"{values.mean():.2f}, {values.max():.2f}" for values in cells) + " |")
 
 
 if __name__ == "__main__":

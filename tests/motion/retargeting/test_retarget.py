@@ -198,12 +198,11 @@ def test_a_foot_rolls_over_its_own_toe(longer):
     assert np.abs(np.diff(plan.moves[66:94], axis=0)).max() < 0.03
 
 
-def test_a_foot_on_a_step_is_not_pulled_down():
-    ankle, toe = roll(0.15)
-    higher = np.array([0.0, 0.3, 0.0])
-    ankle, toe = ankle + higher, toe + higher
+@pytest.mark.parametrize(("higher", "wanted"), [(0.3, 0.3), (0.1, 0.1), (0.02, 0.0), (-0.02, 0.0)])
+def test_a_foot_stands_on_a_step_or_on_the_floor_and_not_between(higher, wanted):
+    ankle, toe = (points + np.array([0.0, higher, 0.0]) for points in roll(0.15))
     plan = plan_foot(Foot(ankle, toe, (0.08, 0.02)), Foot(ankle, toe, (0.08, 0.02)), 1.0, 0.0, 60.0, 1.0)
-    assert np.abs(plan.moves).max() < 0.02
+    np.testing.assert_allclose(toe[:38, 1] + plan.moves[:38, 1], 0.02 + wanted, atol=0.006)
 
 
 def test_feet_are_flat_where_the_source_s_are(shared_data):

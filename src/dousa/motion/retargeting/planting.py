@@ -185,8 +185,20 @@ class FootPlan:
     grounded: FloatArray
 
 
-def plan_foot(source: Foot, made: Foot, scale: float, floor: float, frame_rate: float, size: float) -> FootPlan:
+def plan_foot(
+    source: Foot,
+    made: Foot,
+    scale: float,
+    floor: float,
+    frame_rate: float,
+    size: float,
+    *,
+    step: tuple[float, float] = (0.03, 0.06),
+) -> FootPlan:
     """Plan the turns and moves of a foot so that it stands as the source's.
+
+    A foot that stands a little over or under the floor stands on it: recordings drift by centimetres, and the least
+    steps of stairs are 10 cm high.
 
     Parameters
     ----------
@@ -195,8 +207,10 @@ def plan_foot(source: Foot, made: Foot, scale: float, floor: float, frame_rate: 
     floor : m, its height.
     frame_rate : Hz.
     size : of the source, in bodies of 1.6 m over the joints.
+    step : m on such a body; a foot nearer to the floor than the first stands on it, beyond the second on a step.
     """
     ankle = find_stances(source.ankle, frame_rate, size)
+    risen = source.ankle[:, 1] - source.heights[0] - floor
     near, steps, weight = ankle.near, scale * ankle.steps - np.diff(made.ankle, axis=0), _weigh(ankle)
     turns = identity((len(source.ankle),))
     heights = _height_over(source.ankle, made.ankle, source.heights[0], made.heights[0], scale, floor)
@@ -209,15 +223,18 @@ def plan_foot(source: Foot, made: Foot, scale: float, floor: float, frame_rate: 
         near, weight = near | toe.near, np.maximum(weight, _weigh(toe))
         toes = _height_over(source.toe, point, source.heights[1], made.heights[1], scale, floor)
         # A toe may be lifted from a foot that stands on its heel, and a heel from one on its toe.
-        over = [points[:, 1] - low for points, low in zip((source.ankle, source.toe), source.heights, strict=True)]
-        heights = np.where(over[1] <= over[0], toes, heights)
+        over = source.toe[:, 1] - source.heights[1] - floor
+        heights = np.where(over <= risen, toes, heights)
+        risen = np.minimum(over, risen)
     moves = np.zeros_like(made.ankle)
     stretches = find_runs(near).tolist()
     for start, end in stretches:
         moves[start + 1 : end] = np.cumsum(steps[start : end - 1], axis=0)
         own = weight[start:end]
         moves[start:end] -= np.average(moves[start:end], axis=0, weights=own)
-        moves[start:end, 1] += np.average(heights[start:end] - moves[start:end, 1], weights=own)
+        off = np.average(risen[start:end], weights=own)
+        off *= 1 - ramp(abs(off) / size, *step)
+        moves[start:end, 1] += np.average(heights[start:end] - scale * off - moves[start:end, 1], weights=own)
     return FootPlan(turns, moves, near, _swing(moves, source.ankle / size, stretches, frame_rate))
 
 
