@@ -232,8 +232,8 @@ def plan_foot(
         moves[start + 1 : end] = np.cumsum(steps[start : end - 1], axis=0)
         own = weight[start:end]
         moves[start:end] -= np.average(moves[start:end], axis=0, weights=own)
-        off = np.average(risen[start:end], weights=own)
-        off *= 1 - ramp(abs(off) / size, *step)
+        off = np.average(risen[start:end, None], axis=0, weights=own)
+        off = off * (1 - ramp(np.abs(off) / size, *step))
         moves[start:end, 1] += np.average(heights[start:end] - scale * off - moves[start:end, 1], weights=own)
     return FootPlan(turns, moves, near, _swing(moves, source.ankle / size, stretches, frame_rate))
 
