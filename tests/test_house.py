@@ -26,12 +26,12 @@ ROOMS = {
     "formats": (13_097, 68),
     "library": (15_669, 56),
     "messages": (235, 3),
-    "motion": (6_489, 34),
+    "motion": (6_506, 34),
     "retrieval": (12_912, 47),
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 62_097,
+    "lines of tests": 62_103,
     "lines of JavaScript": 12_550,
     "constants": 1_052,
     "numeric constants without a source": 5,

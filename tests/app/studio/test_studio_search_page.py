@@ -176,6 +176,13 @@ def test_words_lead_to_motions(show, running):
     page = show("/search?text=" + urllib.parse.quote("左足で蹴る"), language="ja")
     page.wait("return document.querySelectorAll('.word-hit').length > 3")
     assert "kick_left" in page.run("return document.querySelector('.word-hit').textContent")
+    page.find("#export-words").click()  # what words found is taken along
+    count = "document.querySelectorAll('dialog .ticks input').length"
+    page.wait(f"return {count} === document.querySelectorAll('.word-hit:not(.word-part)').length")
+    assert page.run(
+        "return [...document.querySelectorAll('#export-format option:disabled')].every((one) => one.value === 'fbx')"
+    )
+    page.run("document.querySelector('dialog').close()")
     page.run("document.querySelector('.word-hit').click()")
     page.wait(DRAWN)
     assert page.run("return document.querySelector('#words-found').hidden")

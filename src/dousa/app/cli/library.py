@@ -106,8 +106,8 @@ def _find_like(library: Library, query: str) -> list[int]:
     """The clips that mean the same as a motion; the most similar ones where the library has not learned that."""
     wanted = clip_or_path(query)
     found = library.search(wanted)
-    if (found.alike_count or 0) > len(found.results):
-        found = library.search(wanted, found.alike_count)
+    if (count := found.alike_count or 0) > len(found.results):
+        found = library.search(wanted, count)
     return [hit.clip_id for hit in found.results if hit.alike is not False]
 
 
