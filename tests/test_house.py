@@ -20,7 +20,7 @@ SOURCE = ROOT / "src" / "dousa"
 ROOMS = {
     "app": (25_582, 117),
     "estimation": (16_560, 69),
-    "evaluation": (12_110, 46),
+    "evaluation": (12_107, 46),
     "experiments": (1_705, 8),
     "files": (1_149, 8),
     "formats": (13_097, 68),

@@ -76,7 +76,7 @@ def test_a_trunk_that_leans_along_is_seen_beside_a_large_movement(raises: list[C
     positions[:, upper] += np.stack([lean, np.zeros_like(lean), np.zeros_like(lean)], axis=1)[:, None]
     leaning = describe_movement(compute_postures(replace(motion, positions=positions)))
     found = compare_movements(describe_movement(compute_postures(motion)), leaning)
-    extra = np.sqrt(np.nanmean(((found.ours - found.theirs) ** 2).sum(axis=2), axis=0)) / found.scale
+    extra = np.sqrt(np.nanmean(((found.ours - found.theirs) ** 2).sum(axis=2), axis=0)) / found.noise
     assert extra.argmax() == 0 and extra[0] > 0.5
 
 

@@ -37,7 +37,6 @@ STILL_DEG = 3.5  # a part that stands still differs by this from itself: measure
 TREMBLES = 2.0  # how much more a sensor drifts than it trembles from frame to frame: measured there
 BODIES_DEG = 8.5  # posture by which people differ, in the median of the parts: lab/training/body_offsets.py
 _AROUND_S = 0.5  # before and after a moment, to move along or not: measured on UI-PRMD, docs/evaluation.md
-_OF_RANGE = 0.3  # ten degrees matter less in a large movement than in a quiet part: measured there
 _DISAGREE = 4.0  # what the references differ by counts so many times: measured there
 
 
@@ -90,18 +89,13 @@ class Difference:
     ours: FloatArray  # (K, 12, 3) the performer's lines less what they differ by throughout; nan where not danced
     theirs: FloatArray  # (K, 12, 3) the reference's
     posture: FloatArray  # (12,) rad, what they differ by throughout
-    noise: FloatArray  # (12,) rad, of both sensors and of standing still
+    noise: FloatArray  # (12,) rad, of both sensors and of standing still: a difference of this size is one
     spread: FloatArray  # (12,) rad, how far the reference moves
     late: FloatArray  # (U,) s, how much later than at an even tempo each moment of the reference comes
     tempo: float  # seconds of the performance for one of the reference
     asked: FloatArray  # (U, 12) rad, how far the reference moves around each of its moments, beyond noise
     danced: NDArray[np.bool_]  # (U,) moments of the reference at which the performer moved along
     moved: FloatArray  # (2, 12) rad, how much the reference moves in all, and while the performer's part is seen
-
-    @property
-    def scale(self) -> FloatArray:
-        """(12,) rad: a difference of this size is one."""
-        return self.noise + _OF_RANGE * self.spread
 
 
 def compare_movements(
@@ -295,9 +289,9 @@ def find_parts(
             _measure_spread(lines[np.unique(moments, return_index=True)[1]])
             for lines, moments in ((ours, rows), (theirs, there))
         )
-        posture = one.posture / (one.scale + _DISAGREE * agreement)
+        posture = one.posture / (one.noise + _DISAGREE * agreement)
         range_ = np.abs(np.log((mine + one.noise) / (its + one.noise)))
-        logs.append([np.log1p(np.sqrt(apart) / one.scale), range_, np.log1p(posture) * (frames is None)])
+        logs.append([np.log1p(np.sqrt(apart) / one.noise), range_, np.log1p(posture) * (frames is None)])
         lag, motion = one.late[there], one.asked.sum(axis=1)[there] + 1e-6
         pace = pace_s * abs(np.log(one.tempo)) * (tempo == "same")
         late.append(np.sqrt((lag**2 * motion).sum() / motion.sum()) + pace if len(lag) else np.nan)
@@ -333,7 +327,7 @@ def find_extent(
         shares = shares / max(float(shares.sum()), 1e-9)
         spread = np.nan_to_num(one.spread)
         share = float(spread @ shares) / max(float(np.sqrt(spread**2 @ shares)), 1e-9)
-        unrelated = np.nan_to_num(np.log1p(np.sqrt(2.0) * one.spread / one.scale)) @ shares
+        unrelated = np.nan_to_num(np.log1p(np.sqrt(2.0) * one.spread / one.noise)) @ shares
         found.append(np.sqrt(share * unrelated / usual))
     return float(max(np.median(found), least))
 
