@@ -31,7 +31,7 @@ ROOMS = {
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 62_103,
+    "lines of tests": 62_114,
     "lines of JavaScript": 12_550,
     "constants": 1_052,
     "numeric constants without a source": 5,
