@@ -1,25 +1,37 @@
-"""Time and memory of the densest files: 50 MB of numbers of one digit, which take most memory for their size.
+"""Time and memory of the densest files: 50 MB of numbers of one digit, or of one byte, which take most memory for it.
 
-``python -m lab.reliability.dense_files [--megabytes 50]`` writes each and reads it in a new process.
+``python -m lab.reliability.dense_files [--megabytes 50] [--files NAME ...]`` writes each and reads it in a new process.
+What is refused says so in the place of its frames.
 """
 
 from __future__ import annotations
 
 import argparse
+import io
+import pickle
 import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
+
+from dousa.formats.registry import write_motion
+from dousa.motion import Motion, compute_trajectories
+from dousa.motion.synthetic import draw_performer, make_motion
 
 NAMES = [f"m{number}" for number in range(30)]
 
 _READ = """
 import resource, sys, time
+from dousa.errors import DousaError
 from dousa.formats.registry import read_motion
-frames = read_motion(sys.argv[1]).n_frames
+try:
+    frames = read_motion(sys.argv[1]).n_frames
+except DousaError as error:
+    frames = f"refused: {error.code}"
 spent, peak = time.process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 print(f"{frames} | {spent:.1f} | {peak / 1e6:.2f}")
 """
@@ -60,14 +72,71 @@ def make_files(size: int) -> Iterator[tuple[str, bytes]]:
     yield "points.csv", ("frame,keypoint,x,y,z\n" + "".join(long)).encode()
 
 
+def make_long(frames: int) -> Motion:
+    """A walk over and over."""
+    motion = make_motion("walk", draw_performer(0))
+    rows = np.arange(frames) % motion.n_frames
+    return motion.replace(rotations=motion.rotations[rows], translations=motion.translations[rows])
+
+
+def write_digits(frame: str, size: int) -> bytes:
+    """Frames of one text, of which each 7 is another digit in each."""
+    shape = np.frombuffer(frame.encode(), np.uint8)
+    frames = np.tile(shape, (size // len(shape), 1))
+    digits = np.flatnonzero(shape == ord("7"))
+    frames[:, digits] = np.random.default_rng(0).integers(48, 58, size=(len(frames), len(digits)), dtype=np.uint8)
+    return frames.tobytes()
+
+
+def make_rotations(size: int) -> Iterator[tuple[str, bytes]]:
+    """Name and content of each file of rotations, or of one byte for each number."""
+    walk = make_long(1)
+    with tempfile.TemporaryDirectory() as folder:
+
+        def write(suffix: str, motion: Motion) -> bytes:
+            path = Path(folder, f"a{suffix}")
+            points = suffix in (".c3d", ".trc")
+            write_motion(compute_trajectories(motion) if points else motion, path)
+            return path.read_bytes()
+
+        def fill(suffix: str) -> bytes:
+            one, two = (len(write(suffix, make_long(count))) for count in (1000, 2000))
+            return write(suffix, make_long(1000 * size // (two - one)))
+
+        head = write(".bvh", walk).partition(b"MOTION")[0] + b"MOTION\nFrames: 9\nFrame Time: 0.01\n"
+        yield "body.bvh", head + write_digits(" ".join("7" * (head.count(b"rotation") + 3)) + "\n", size)
+        turns = b"CHANNELS 3 Xrotation Yrotation Zrotation\n"
+        root = b"HIERARCHY\nROOT a\n{\nOFFSET 0 0 0\n" + turns + b"End Site\n{\nOFFSET 0 1 0\n}\n}\n"
+        yield "bone.bvh", root + b"MOTION\nFrames: 9\nFrame Time: 0.01\n" + write_digits("7 7 7\n", size)
+        for suffix in (".c3d", ".glb", ".vmd", ".npz", ".amass.npz"):
+            yield f"walk{suffix}", fill(suffix)
+    segments, names = 23, " ".join("7" * 23 * 4)
+    frame = f'<frame time="0" index="0" type="normal"><orientation>{names}</orientation></frame>\n'
+    top = f'<mvnx><subject frameRate="60" segmentCount="{segments}"><frames>'
+    yield "segments.mvnx", top.encode() + write_digits(frame, size) + b"</frames></subject></mvnx>"
+    points = np.random.default_rng(0).integers(0, 10, size=(size // 51, 17, 3), dtype=np.int8)
+    for name, save in (("bytes.npy", np.save), ("squeezed.npz", np.savez_compressed)):
+        file = io.BytesIO()
+        save(file, np.repeat(points, 1 if name == "bytes.npy" else 2, axis=0))
+        yield name, file.getvalue()
+    yield "lists.pkl", pickle.dumps({"keypoints3d": points[: size // (2 * 51 + 9 * 18)].tolist()})
+    zeros = io.BytesIO()
+    np.savez_compressed(zeros, joints=np.zeros((20 * size // 51, 17, 3), np.int8))
+    yield "zeros.npz", zeros.getvalue()
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--megabytes", type=float, default=50)
+    parser.add_argument("--files", nargs="+", metavar="NAME", help="some of them; all by default")
     options = parser.parse_args()
     print("| file | MB | frames | s of a processor | GB at most |\n" + "| --- " * 5 + "|")
+    size = int(options.megabytes * 1e6)
     with tempfile.TemporaryDirectory() as folder:
-        for name, content in make_files(int(options.megabytes * 1e6)):
+        for name, content in chain(make_rotations(size), make_files(size)):
+            if options.files and name not in options.files:
+                continue
             path = Path(folder, name)
             path.write_bytes(content)
             found = subprocess.run(

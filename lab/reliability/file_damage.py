@@ -18,13 +18,14 @@ from pathlib import Path
 import numpy as np
 
 from dousa.errors import DousaError
+from dousa.formats.exchange.programs import find_program
 from dousa.formats.registry import read_motion, write_motion
 from dousa.motion import Motion, compute_trajectories
 from dousa.motion.kinematics import forward_kinematics
 from dousa.motion.synthetic import draw_performer, make_motion
 from lab.places import SHARED_DATA
 
-FORMATS = ("glb", "c3d", "trc", "csv", "mvnx", "bvh", "amc", "npz")
+FORMATS = ("glb", "fbx", "c3d", "trc", "csv", "mvnx", "bvh", "amc", "npz")
 KINDS = ("insert", "delete", "flip")
 VERDICTS = ("refused", "noted", "the same motion", "silent")
 
@@ -44,7 +45,10 @@ _SPANS = {
 
 
 def make_files(folder: Path, suffix: str) -> list[bytes]:
-    """Write two short clips of different bodies in a format; their bytes. None of AMC without the recordings."""
+    """Write two short clips of different bodies in a format; their bytes. None of AMC and FBX without recordings."""
+    if suffix == "fbx":
+        take = SHARED_DATA / "foreign/unsupported/mixamo_left_turn_90.fbx"
+        return [take.read_bytes()] if take.exists() and find_program("assimp") else []
     if suffix == "amc":
         asf, take = SHARED_DATA / "cmu86/86.asf", SHARED_DATA / "cmu86/86_01.amc"
         if not take.exists():
@@ -95,6 +99,10 @@ def list_values(suffix: str, data: bytes) -> Iterator[tuple[int, int]]:
         yield from (found.span(1) for found in re.finditer(_SPANS[suffix], data))
     if suffix == "glb":
         yield 20 + int.from_bytes(data[12:16], "little") + 8, len(data)
+    elif suffix == "fbx":  # arrays of numbers, and numbers of properties
+        yield from (
+            found.span(1) for found in re.finditer(rb"Key(?:Time|Value\w+)[dlf]((?s:.{4,400}?))[\x00-\xff]{8}Key", data)
+        )
     elif suffix == "c3d":
         yield 512 * (int.from_bytes(data[16:18], "little") - 1), len(data)
     if suffix in _BODY:

@@ -448,3 +448,14 @@ def test_bandai_values_and_kinematics(shared_data):
     left, right = (compute_trajectories(motion).select([f"UpperLeg_{side}"]) for side in "LR")
     assert positions[..., 1].min() > -0.1
     assert np.linalg.norm(left - right, axis=-1).min() > 0.05
+
+
+@pytest.mark.parametrize(
+    ("old", "new"), [("1 90 0", "1 \x190 0"), ("ROOT Hips", "ROOT Hi\x10s"), ("-46.25", "-46.\x125")]
+)
+def test_a_byte_that_no_text_has_is_refused_and_padding_is_not(bvh, old, new):
+    """A changed bit makes such a byte of a digit, and half of a number would be another one."""
+    with pytest.raises(MotionFileError) as caught:
+        read_bvh(bvh(SMALL.replace(old, new)))
+    assert caught.value.code == "numbers.control"
+    assert read_bvh(bvh(SMALL + "\0\0\x1a")).n_frames == 3

@@ -4,13 +4,14 @@ import json
 import os
 import struct
 import sys
+import zlib
 
 import numpy as np
 import pytest
 
 from dousa.errors import MotionFileError, MotionWriteError, OptionError
 from dousa.formats import read_character
-from dousa.formats.exchange import programs
+from dousa.formats.exchange import fbx_soundness, programs
 from dousa.formats.exchange.assimp_repair import collapse_helpers, read_unit
 from dousa.formats.gltf.document import GltfDocument
 from dousa.formats.registry import read_motion, write_motion
@@ -220,3 +221,77 @@ def test_animations_and_people_of_fbx(tmp_path, monkeypatch):
     assert codes(second) == ["parts.person_asked", "exchange.through", "parts.alone"]
     assert abs(second.translations[0, 0, 0] - first.translations[0, 0, 0]) > 1
     assert code_of(tmp_path / "x.fbx", animation="Walk") == "parts.no_animation"
+
+
+def make_record(name, values, children=(), start=27):
+    """A record of a binary FBX file of version 7400 that begins at a byte; texts, numbers and arrays of times."""
+    held = b""
+    for value in values:
+        if isinstance(value, str):
+            held += b"S" + struct.pack("<I", len(value)) + value.encode()
+        elif isinstance(value, int):
+            held += b"L" + struct.pack("<q", value)
+        else:
+            packed = zlib.compress(np.asarray(value, np.int64).tobytes())
+            held += b"l" + struct.pack("<III", len(value), 1, len(packed)) + packed
+    place = start + 13 + len(name) + len(held)
+    inside = b""
+    for child in children:
+        inside += make_record(*child, start=place + len(inside))
+    inside += bytes(13) if children else b""
+    head = struct.pack("<IIIB", place + len(inside), len(values), len(held), len(name))
+    return head + name.encode() + held + inside
+
+
+def make_fbx():
+    """A model that moves along an axis, by three curves."""
+
+    def properties(*rows):
+        return ("Properties70", [], [("P", list(row)) for row in rows])
+
+    move, plain, part = ("Lcl Translation", "Lcl Translation", "", "A"), ("d", "Compound", "", ""), ("d|X", "", "", "A")
+    kinds = [
+        ("ObjectType", ["AnimationCurve"], [("Count", [3])]),
+        ("ObjectType", ["AnimationCurveNode"], [("Count", [1]), ("PropertyTemplate", ["t"], [properties(plain)])]),
+        ("ObjectType", ["Model"], [("Count", [1]), ("PropertyTemplate", ["t"], [properties(move)])]),
+    ]
+    curve = [("KeyTime", [[0, 10, 20, 30]]), ("KeyValueFloat", [5])]
+    objects = [("Model", [1, ""], [properties(move)]), ("AnimationCurveNode", [2, ""], [properties(part)])]
+    objects += [("AnimationCurve", [number, ""], curve) for number in (3, 4, 5)]
+    links = [("C", ["OO", 1, 0]), ("C", ["OP", 2, 1, move[0]]), *(("C", ["OP", n, 2, part[0]]) for n in (3, 4, 5))]
+    data = fake.FBX_MARK[:23] + struct.pack("<I", 7400)
+    for name, children in (("Definitions", kinds), ("Objects", objects), ("Connections", links)):
+        data += make_record(name, [], children, start=len(data))
+    return data + bytes(13) + fbx_soundness._END
+
+
+def note_codes(data):
+    return [note.code.removeprefix("exchange.fbx_") for note in fbx_soundness.check_fbx("x.fbx", data)]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "codes"),
+    [
+        (b"", b"", []),
+        (b"\x05Model", b"\x05Modem", ["count"]),
+        (b"KeyValueFloat", b"KeyValteFloat", ["count"]),
+        (b"OPL" + struct.pack("<q", 4), b"OPL" + struct.pack("<q", 5004), ["links"]),
+        (b"PS\x0f\0\0\0Lcl T", b"PS\x0f\0\0\0Lcl U", ["property"]),
+        (b"d|X", b"e|X", ["property"]),
+        (fbx_soundness._END, fbx_soundness._END[:-1], ["end"]),
+    ],
+)  # fmt: skip
+def test_what_a_binary_fbx_declares_is_compared_with_what_it_holds(old, new, codes):
+    data = make_fbx()
+    assert old in data
+    assert note_codes(data.replace(old, new, 1)) == codes
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_bytes_inserted_or_deleted_in_a_binary_fbx_are_refused(seed):
+    data, rng = make_fbx(), np.random.default_rng(seed)
+    for place in rng.integers(27, len(data) - 60, size=60).tolist():
+        for changed in (data[:place] + b"\x05" + data[place:], data[:place] + data[place + 2 :]):
+            with pytest.raises(MotionFileError) as caught:
+                fbx_soundness.check_fbx("x.fbx", changed)
+            assert caught.value.code == "exchange.fbx_record"

@@ -23,8 +23,9 @@ from dousa.messages import Message
 
 Bytes = NDArray[np.uint8]
 
-# Status of scan_rows; the position that comes with it is the start of the line (SHORT, LONG) or token (FULL).
-DONE, SHORT, LONG, FULL = range(4)
+# Status of scan_rows; the position that comes with it is the start of the line (SHORT, LONG) or token (FULL), or a byte
+# that no text has (ODD).
+DONE, SHORT, LONG, FULL, ODD = range(5)
 
 _SMALLEST_POWER, _LARGEST_POWER = -342, 308
 _EXACT_POWERS = np.array([10.0**k for k in range(23)])  # Clinger 1990: up to 10^22 float64 is exact
@@ -225,7 +226,8 @@ def scan_rows(
 ) -> tuple[int, int, int, int]:
     """Fill ``out`` with the numbers of ``buffer[position:end]``, one row of ``columns`` numbers a line.
 
-    Blank lines are skipped. Tokens that are no short decimals go to ``notes`` (out.size, 2): position, index in out.
+    Blank lines are skipped; blanks are spaces and tabs.
+    Tokens that are no short decimals go to ``notes`` (out.size, 2): position, index in out.
     Returns (status, position, numbers read, tokens noted).
     """
     filled, noted, in_row, line = 0, 0, 0, position
@@ -238,6 +240,8 @@ def scan_rows(
             position += 1
             line = position
         elif byte <= 32:
+            if byte != 32 and byte != 9:  # noqa: PLR1714
+                return ODD, position, filled, noted
             position += 1
         elif in_row == columns:
             return LONG, line, filled, noted
@@ -287,11 +291,15 @@ def scan_numbers(
     notes = np.empty((rows * columns, 2), np.int64)
     flat = values.reshape(-1)
     status, position, filled, noted = scan_rows(np.frombuffer(data, np.uint8), start, len(data), columns, flat, notes)
-    return values, status, position, filled, settle(data, notes[:noted], flat)
+    bad = settle(data, notes[:noted], flat)
+    if status == ODD and bad is None:
+        bad = position, Message("numbers.control", found=f"\\x{data[position]:02x}")
+    return values, status, position, filled, bad
 
 
 def scannable(data: bytes) -> bytes:
-    """The bytes, with white space at the end as the kernels need it."""
+    """The bytes, with white space at the end as the kernels need it, and no padding of old programs there."""
+    data = data.rstrip(b"\0\x1a") if data[-1:] in (b"\0", b"\x1a") else data
     return data if data[-1:].isspace() else data + b"\n"
 
 

@@ -147,7 +147,7 @@ def _scan_frames(  # noqa: PLR0912, PLR0915
         previous = bone
         column, last = columns[bone], columns[bone + 1]
         while True:
-            while buffer[position] <= 32 and buffer[position] != 10 and buffer[position] != 13 and position < end - 1:
+            while (buffer[position] == 32 or buffer[position] == 9) and position < end - 1:
                 position += 1
             if buffer[position] <= 32:
                 break

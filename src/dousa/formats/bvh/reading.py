@@ -42,6 +42,7 @@ _KINDS = {name.lower(): kind for kind, name in enumerate(CHANNEL_NAMES)}
 _STATEMENT = re.compile(rb"[{}]|[^\r\n{}]+")
 _KEYWORD = re.compile(rb"(?:ROOT|JOINT|END|ENDSITE|OFFSET|CHANNELS)(?!\S)", re.IGNORECASE)
 _NUMBERED = re.compile(rb"(?:OFFSET|CHANNELS)(?!\S)", re.IGNORECASE)
+_CONTROL = re.compile(rb"[\0-\x08\x0e-\x1f]")  # bytes that no text has
 _JOINED = re.compile(rb"\s+(?=(?:JOINT|END|ENDSITE|OFFSET|CHANNELS)(?!\S))", re.IGNORECASE)
 
 
@@ -281,6 +282,8 @@ def _encoding(section: bytes) -> str:
 def parse_hierarchy(section: bytes) -> Hierarchy:
     """Parse the text between HIERARCHY and MOTION, cached by content; BvhSyntaxError with the place in the section."""
     parser = _Parser(_encoding(section))
+    if odd := _CONTROL.search(section):
+        raise BvhSyntaxError(odd.start(), "numbers.control", found=f"\\x{odd[0][0]:02x}")
     for text, position in _statements(section):
         parser.take(text, position)
     joints = parser.joints

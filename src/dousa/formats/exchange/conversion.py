@@ -16,6 +16,7 @@ from importlib import resources
 from dousa.errors import MotionFileError, MotionWriteError
 from dousa.files.disk import atomic_write, read_bytes
 from dousa.formats.exchange.assimp_repair import collapse_helpers, read_unit
+from dousa.formats.exchange.fbx_soundness import check_fbx
 from dousa.formats.exchange.programs import Program, ProgramError, find_program, is_named, run_program
 from dousa.formats.gltf.document import GltfDocument, load_document
 from dousa.formats.gltf.reading import build_character, build_motion
@@ -33,7 +34,7 @@ _SIGNS = {
 class _Converted:
     document: GltfDocument
     unit: float
-    title: str
+    notes: tuple[Message, ...]
 
 
 def read_exchange(
@@ -57,10 +58,9 @@ def read_exchange(
     MotionFileError : missing, damaged, no program that could read it, no skeleton or no such animation.
     """
     made = _convert(path)
-    notes = (Message("exchange.through", program=made.title),)
     return build_motion(
         made.document, unit=unit, up=up, animation=animation, format_name=_format(path), declared_unit=made.unit,
-        notes=notes,
+        notes=made.notes,
     )  # fmt: skip
 
 
@@ -82,10 +82,11 @@ def _convert(path: str | os.PathLike[str]) -> _Converted:
     suffix = f".{_format(path)}"
     if suffix in _SIGNS and not _SIGNS[suffix].search(data[:4096]):
         raise MotionFileError(path, "exchange.other_content", format=suffix[1:].upper())
+    notes = check_fbx(path, data) if suffix == ".fbx" else ()
     problem: Message | None = None
     for program in _list_programs():
         try:
-            return _run(path, program, data if program.name == "assimp" and suffix == ".fbx" else b"")
+            return _run(path, program, data if program.name == "assimp" and suffix == ".fbx" else b"", notes)
         except ProgramError as error:
             problem = problem or error.message
         except MotionFileError as error:
@@ -102,7 +103,7 @@ def _list_programs() -> Iterator[Program]:
             yield program
 
 
-def _run(path: str | os.PathLike[str], program: Program, data: bytes) -> _Converted:
+def _run(path: str | os.PathLike[str], program: Program, data: bytes, notes: tuple[Message, ...]) -> _Converted:
     with tempfile.TemporaryDirectory(prefix="dousa-") as folder:
         result = os.path.join(folder, "made.glb")
         source = os.path.abspath(path)
@@ -114,7 +115,8 @@ def _run(path: str | os.PathLike[str], program: Program, data: bytes) -> _Conver
     document.path = path
     if program.name == "assimp":
         collapse_helpers(document)
-    return _Converted(document, read_unit(data) if data else 1.0, program.title)
+    through = Message("exchange.through", program=program.title)
+    return _Converted(document, read_unit(data) if data else 1.0, (through, *notes))
 
 
 def blender_words() -> list[str]:
