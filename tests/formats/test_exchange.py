@@ -243,7 +243,7 @@ def make_record(name, values, children=(), start=27):
     return head + name.encode() + held + inside
 
 
-def make_fbx():
+def make_fbx(times=(0, 10, 20, 30)):
     """A model that moves along an axis, by three curves."""
 
     def properties(*rows):
@@ -255,7 +255,7 @@ def make_fbx():
         ("ObjectType", ["AnimationCurveNode"], [("Count", [1]), ("PropertyTemplate", ["t"], [properties(plain)])]),
         ("ObjectType", ["Model"], [("Count", [1]), ("PropertyTemplate", ["t"], [properties(move)])]),
     ]
-    curve = [("KeyTime", [[0, 10, 20, 30]]), ("KeyValueFloat", [5])]
+    curve = [("KeyTime", [list(times)]), ("KeyValueFloat", [5])]
     objects = [("Model", [1, ""], [properties(move)]), ("AnimationCurveNode", [2, ""], [properties(part)])]
     objects += [("AnimationCurve", [number, ""], curve) for number in (3, 4, 5)]
     links = [("C", ["OO", 1, 0]), ("C", ["OP", 2, 1, move[0]]), *(("C", ["OP", n, 2, part[0]]) for n in (3, 4, 5))]
@@ -285,6 +285,13 @@ def test_what_a_binary_fbx_declares_is_compared_with_what_it_holds(old, new, cod
     data = make_fbx()
     assert old in data
     assert note_codes(data.replace(old, new, 1)) == codes
+
+
+@pytest.mark.parametrize("times", [[0, 10, 5, 20], [0, 10, 20, 1 << 60]])
+def test_times_of_fbx_that_fall_or_last_days_are_refused(times):
+    with pytest.raises(MotionFileError) as caught:
+        fbx_soundness.check_fbx("x.fbx", make_fbx(times))
+    assert caught.value.code == "exchange.fbx_times"
 
 
 @pytest.mark.parametrize("seed", range(3))

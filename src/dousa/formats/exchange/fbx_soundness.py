@@ -12,6 +12,8 @@ import zlib
 from collections import Counter
 from collections.abc import Iterator
 
+import numpy as np
+
 from dousa.errors import MotionFileError
 from dousa.messages import Message
 
@@ -19,6 +21,7 @@ _MAGIC = b"Kaydara FBX Binary  \0\x1a\0"
 # Kinds whose objects all have the properties of one template (cameras and bones share a kind, but no template).
 _PLAIN = ("Model", "AnimationCurveNode")
 _PARTS = ("AnimationCurve KeyTime", "AnimationCurve KeyValueFloat", *(f"{kind} Properties70" for kind in _PLAIN))
+_DAY = 24 * 3600 * 46_186_158_000.0  # of the ticks of FBX, by the definition of its SDK
 _END = bytes.fromhex("f85a8c6adef5d97eece90ce3758f290b")
 _VERSIONS = (6100, 7999)  # those of which programs write binary files, times 1000 (reference)
 # Bytes of a number, and of an item of an array, by the letter of their type (reference).
@@ -55,6 +58,7 @@ def check_fbx(path: str | os.PathLike[str], data: bytes) -> tuple[Message, ...]:
             found[kind] += 1
         elif section == "Objects" and depth == 2:
             parts[f"{kind} {name}"] += 1
+            _check_times(path, values[0] if name == "KeyTime" and values else b"")
         elif name == "P" and len(words) == 4 and _is_strange(kind, words, usual, section == "Definitions"):
             strange.add(words[0])
         elif section == "Connections" and name == "C" and len(values) > 2:
@@ -77,6 +81,13 @@ def _is_strange(kind: str, words: list[str], usual: dict[str, set[str]], is_shar
         names.add(words[0])
         return False
     return kind in _PLAIN and bool(names) and words[0].partition("|")[0] not in names  # d|X is a part of d
+
+
+def _check_times(path: str | os.PathLike[str], data: bytes) -> None:
+    """MotionFileError for times that do not rise, or over a day, in which converters would make keys without end."""
+    times = np.frombuffer(data[: len(data) // 8 * 8], "<i8").astype(np.float64)
+    if not (np.diff(times) > 0).all() or (len(times) and not times[-1] - times[0] < _DAY):
+        raise MotionFileError(path, "exchange.fbx_times")
 
 
 def _compare(declared: Counter[str], found: Counter[str], parts: Counter[str]) -> Iterator[Message]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import importlib
 import os
 import shutil
 import signal
@@ -11,6 +12,7 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import Any
 
 from dousa.errors import DousaError, OptionError
 
@@ -23,6 +25,7 @@ _USUAL_PLACES = {
 }
 _TITLES = {"blender": "Blender", "assimp": "assimp", "usd": "usd-core"}
 _MOST_LOG, _MOST_RESULT = 50_000_000, 4_000_000_000  # bytes
+_MOST_MEMORY = {"assimp": 4_000_000_000}  # bytes; Blender reserves more than it takes
 
 
 class ProgramError(DousaError):
@@ -90,6 +93,7 @@ def run_program(program: Program, words: Sequence[str], folder: str, result: str
         except OSError as error:
             raise ProgramError("exchange.no_start", program=program.title, reason=error) from error
         try:
+            _limit_memory(process.pid, _MOST_MEMORY.get(program.name, 0))
             end = time.monotonic() + seconds
             while process.poll() is None:
                 if time.monotonic() > end:
@@ -121,6 +125,14 @@ def _time_limit() -> float:
     if not 0 < seconds < 1e6:
         raise OptionError("exchange.seconds", found=given[:20])
     return seconds
+
+
+def _limit_memory(pid: int, most: int) -> None:
+    """Limit the memory of a process where the system can: a damaged file may ask for any."""
+    with suppress(ImportError, AttributeError, OSError):
+        resource: Any = importlib.import_module("resource")
+        if most:
+            resource.prlimit(pid, resource.RLIMIT_AS, (most, most))
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
