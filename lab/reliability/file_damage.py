@@ -40,6 +40,7 @@ _BODY = {
 _SPANS = {
     "bvh": rb"OFFSET([^\r\n]*)",
     "mvnx": rb"<(?:orientation|position)>([^<]*)",
+    "fbx": rb"(?s)Key(?:Time|ValueFloat)[lf](.{4,4000}?)(?=.{25}Key)",  # 25 bytes before the name of a record
     "glb": rb'"(?:translation|rotation|scale|matrix|min|max)":(\[[^]]*\])',
 }
 
@@ -99,10 +100,6 @@ def list_values(suffix: str, data: bytes) -> Iterator[tuple[int, int]]:
         yield from (found.span(1) for found in re.finditer(_SPANS[suffix], data))
     if suffix == "glb":
         yield 20 + int.from_bytes(data[12:16], "little") + 8, len(data)
-    elif suffix == "fbx":  # arrays of numbers, and numbers of properties
-        yield from (
-            found.span(1) for found in re.finditer(rb"Key(?:Time|Value\w+)[dlf]((?s:.{4,400}?))[\x00-\xff]{8}Key", data)
-        )
     elif suffix == "c3d":
         yield 512 * (int.from_bytes(data[16:18], "little") - 1), len(data)
     if suffix in _BODY:

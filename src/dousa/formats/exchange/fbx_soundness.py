@@ -42,9 +42,12 @@ def check_fbx(path: str | os.PathLike[str], data: bytes) -> tuple[Message, ...]:
     if not data.startswith(_MAGIC) or not _VERSIONS[0] <= version <= _VERSIONS[1]:
         return ()
     declared, found, parts = (Counter[str]() for _ in range(3))
-    kinds, linked, animated = {bytes(8): ""}, set(), set()
+    kinds: dict[bytes, str] = {bytes(8): ""}
+    linked: set[bytes] = set()
+    animated: set[str] = set()
     usual: dict[str, set[str]] = {}
-    strange, section, kind = set(), "", ""
+    strange: set[str] = set()
+    section = kind = ""
     for depth, name, values in _walk(path, data, wide=version >= 7500):
         words = [value[:100].decode("latin-1") for value in values[:4]]
         if depth == 0:
