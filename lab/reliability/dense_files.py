@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import io
 import pickle
+import re
 import subprocess
 import sys
 import tempfile
@@ -21,18 +22,19 @@ import numpy as np
 from dousa.formats.registry import write_motion
 from dousa.motion import Motion, compute_trajectories
 from dousa.motion.synthetic import draw_performer, make_motion
+from lab.places import SHARED_DATA
 
 NAMES = [f"m{number}" for number in range(30)]
 
 _READ = """
-import resource, sys, time
+import re, sys, time
 from dousa.errors import DousaError
 from dousa.formats.registry import read_motion
 try:
     frames = read_motion(sys.argv[1]).n_frames
 except DousaError as error:
     frames = f"refused: {error.code}"
-spent, peak = time.process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+spent, peak = time.process_time(), int(re.search(r"VmHWM:\\s*(\\d+)", open("/proc/self/status").read())[1])  # kB
 print(f"{frames} | {spent:.1f} | {peak / 1e6:.2f}")
 """
 
@@ -110,6 +112,11 @@ def make_rotations(size: int) -> Iterator[tuple[str, bytes]]:
         yield "bone.bvh", root + b"MOTION\nFrames: 9\nFrame Time: 0.01\n" + write_digits("7 7 7\n", size)
         for suffix in (".c3d", ".glb", ".vmd", ".npz", ".amass.npz"):
             yield f"walk{suffix}", fill(suffix)
+    take = SHARED_DATA / "cmu86/86_01.amc"
+    if take.exists():
+        head, _, rest = take.read_text().partition("\n1\n")
+        frame = re.sub(r"(?<= )\S+", "7", rest.partition("\n2\n")[0])
+        yield take.name, head.encode() + b"\n" + write_digits(f"7\n{frame}\n", size)
     segments, names = 23, " ".join("7" * 23 * 4)
     frame = f'<frame time="0" index="0" type="normal"><orientation>{names}</orientation></frame>\n'
     top = f'<mvnx><subject frameRate="60" segmentCount="{segments}"><frames>'
@@ -139,6 +146,8 @@ def main() -> None:
                 continue
             path = Path(folder, name)
             path.write_bytes(content)
+            if path.suffix == ".amc":
+                path.with_name("86.asf").write_bytes((SHARED_DATA / "cmu86/86.asf").read_bytes())
             found = subprocess.run(
                 [sys.executable, "-c", _READ, path], capture_output=True, text=True, check=True
             ).stdout

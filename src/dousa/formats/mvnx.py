@@ -129,6 +129,7 @@ def read_mvnx(
     world = _read_values(path, taken, "orientation", len(names), 4)
     order, parents, more = _order_segments(path, subject, names)
     notes += more
+    world = normalise(world[:, order])
     rest = [frame for frame in frames if frame.get("type") == "identity" and _has(frame, "position")][:1]
     resting = _read_values(path, rest, "position", len(names), 3)[0] if rest else None
     if positions is None:
@@ -136,12 +137,12 @@ def read_mvnx(
         notes += (Message("mvnx.no_position" if given is not None else "mvnx.mean_body"),)
         offsets = rest_offsets(parents, _place_mean(path, names)[order] if given is None else given)
         turned = np.broadcast_to(np.zeros(3), (*world.shape[:2], 3))
-        rotations, _ = localise(parents, normalise(world[:, order]), turned)
+        rotations, _ = localise(parents, world, turned)
         translations = np.tile(offsets, (len(taken), 1, 1))
     else:
         positions, lost = settle_positions(path, names, positions)
         notes += lost
-        rotations, translations = localise(parents, normalise(world[:, order]), positions[:, order])
+        rotations, translations = localise(parents, world, positions[:, order])
         offsets = median_offsets(translations) if resting is None else rest_offsets(parents, resting[order])
     tips = [_find_point(segments[index], _TIPS.get(names[index], "")) for index in order]
     ends = [(joint, place) for joint, place in enumerate(tips) if place is not None]

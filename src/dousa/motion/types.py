@@ -218,10 +218,13 @@ class Motion(_Recording):
             raise InvalidMotionError("motion.no_frames")
         translations = _frozen_array(self.translations, np.float64, (frames, joints, 3), "motion translations")
         with np.errstate(over="ignore", invalid="ignore"):  # a damaged file may hold 1e300 and infinities
-            squares = np.einsum("tjk,tjk->tj", rotations, rotations)
-            off = np.abs(squares - 1.0) > 1e-6  # true for infinity, false for NaN: missing values are allowed
+            off = np.einsum("tjk,tjk->tj", rotations, rotations)
+            off -= 1.0
+            far = (
+                np.fmax.reduce(np.abs(off, out=off), axis=None) > 1e-6
+            )  # of infinity too; NaN, what is missing, is left
             whole = np.isfinite(translations.sum())  # spares the look at every value
-        if off.any() or (not whole and np.isinf(translations).any()):
+        if far or (not whole and np.isinf(translations).any()):
             raise InvalidMotionError("motion.quaternions")
         set_field = object.__setattr__
         set_field(self, "rotations", rotations)

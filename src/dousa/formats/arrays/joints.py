@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from dousa.arrays import FloatArray
 from dousa.errors import MotionFileError
 from dousa.formats.assembly import settle_trajectories
-from dousa.formats.guard import Clock, check_points
+from dousa.formats.guard import Clock, check_memory, check_points
 from dousa.formats.smpl import mean_body
 from dousa.messages import Message
 from dousa.motion import Trajectories
@@ -98,6 +98,8 @@ def build_joints(
     array = _without_scores(array)
     if not is_joint_array(array.shape):
         raise MotionFileError(path, "arrays.shape", found=str(array.shape))
+    if os.path.isfile(path):  # an archive holds small numbers, squeezed
+        check_memory(path, 8 * array.size, os.path.getsize(path))
     points = array.reshape([axis for axis in array.shape if axis != 1]).astype(np.float64)
     if points.shape[2] != 3:
         points = np.moveaxis(points, 2, 0)
