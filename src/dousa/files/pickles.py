@@ -42,6 +42,10 @@ _INSTRUCTIONS = (
 )
 
 
+class _TooManyError(Exception):
+    """More lists and dictionaries than are read."""
+
+
 class _Refused(pickle.UnpicklingError):
     """The pickle needs something that no array needs."""
 
@@ -240,7 +244,7 @@ def _count(load: Callable[[Any], None], most: int = 3_000_000) -> Callable[[Any]
     def load_counted(unpickler: Any) -> None:
         unpickler.containers += 1
         if unpickler.containers > most:
-            raise pickle.UnpicklingError("too many containers")
+            raise _TooManyError
         load(unpickler)
 
     return load_counted
@@ -300,6 +304,8 @@ def load_pickle(path: str | os.PathLike[str], data: bytes | None = None) -> dict
         loaded = _load(_unpack(path, data))
     except _Refused as error:
         raise MotionFileError(path, "pickles.refused", found=str(error)) from error
+    except _TooManyError as error:
+        raise MotionFileError(path, "pickles.many") from error
     except _DAMAGE as error:
         raise MotionFileError(path, "pickles.damaged", kind=type(error).__name__) from error
     loaded = _plain(loaded, {})

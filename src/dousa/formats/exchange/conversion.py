@@ -16,7 +16,7 @@ from importlib import resources
 from dousa.errors import MotionFileError, MotionWriteError
 from dousa.files.disk import atomic_write, read_bytes
 from dousa.formats.exchange.assimp_repair import collapse_helpers, read_unit
-from dousa.formats.exchange.fbx_soundness import check_fbx
+from dousa.formats.exchange.fbx_soundness import MAGIC, check_fbx
 from dousa.formats.exchange.programs import Program, ProgramError, find_program, is_named, run_program
 from dousa.formats.gltf.document import GltfDocument, load_document
 from dousa.formats.gltf.reading import build_character, build_motion
@@ -133,9 +133,6 @@ def find_blender(path: str | os.PathLike[str]) -> Program:
     return program
 
 
-_MAGIC = b"Kaydara FBX Binary"
-
-
 def write_fbx(motion: Motion, path: str | os.PathLike[str]) -> None:
     """Write a motion as FBX through Blender: skeleton, animation, and the mesh of its character.
 
@@ -153,7 +150,7 @@ def write_fbx(motion: Motion, path: str | os.PathLike[str]) -> None:
             raise MotionWriteError(path, error.message) from error
         with open(result, "rb") as file:
             data = file.read()
-    if not data.startswith(_MAGIC):
+    if not data.startswith(MAGIC):
         raise MotionWriteError(path, Message("exchange.failed", program=program.title, reason="-"))
     with atomic_write(path) as file:
         file.write(data)

@@ -17,7 +17,7 @@ import numpy as np
 from dousa.errors import MotionFileError
 from dousa.messages import Message
 
-_MAGIC = b"Kaydara FBX Binary  \0\x1a\0"
+MAGIC = b"Kaydara FBX Binary  \0\x1a\0"
 # Kinds whose objects all have the properties of one template (cameras and bones share a kind, but no template).
 _PLAIN = ("Model", "AnimationCurveNode")
 _PARTS = ("AnimationCurve KeyTime", "AnimationCurve KeyValueFloat", *(f"{kind} Properties70" for kind in _PLAIN))
@@ -38,8 +38,8 @@ def check_fbx(path: str | os.PathLike[str], data: bytes) -> tuple[Message, ...]:
     ------
     MotionFileError : records or arrays that end elsewhere than declared.
     """
-    version = int.from_bytes(data[len(_MAGIC) : len(_MAGIC) + 4], "little")
-    if not data.startswith(_MAGIC) or not _VERSIONS[0] <= version <= _VERSIONS[1]:
+    version = int.from_bytes(data[len(MAGIC) : len(MAGIC) + 4], "little")
+    if not data.startswith(MAGIC) or not _VERSIONS[0] <= version <= _VERSIONS[1]:
         return ()
     declared, found, parts = (Counter[str]() for _ in range(3))
     kinds: dict[bytes, str] = {bytes(8): ""}
@@ -107,7 +107,7 @@ def _compare(declared: Counter[str], found: Counter[str], parts: Counter[str]) -
 def _walk(path: str | os.PathLike[str], data: bytes, *, wide: bool) -> Iterator[tuple[int, str, list[bytes]]]:
     """Depth, name and values of each record, those above before those within."""
     head = struct.Struct("<QQQB" if wide else "<IIIB")
-    place, ends = len(_MAGIC) + 4, [len(data)]
+    place, ends = len(MAGIC) + 4, [len(data)]
     while ends:
         if place + head.size > ends[-1]:
             raise MotionFileError(path, "exchange.fbx_record", place=place)
