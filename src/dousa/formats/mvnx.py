@@ -147,8 +147,10 @@ def read_mvnx(
     tips = [_find_point(segments[index], _TIPS.get(names[index], "")) for index in order]
     ends = [(joint, place) for joint, place in enumerate(tips) if place is not None]
     skeleton = Skeleton(tuple(names[index] for index in order), np.array(parents, np.intp), offsets)
+    poses = add_ends(skeleton, rotations, translations, ends)
+    del data, subjects, subject, frames, taken, segments, world, rotations, translations  # larger than the poses
     return settle_motion(
-        path, "mvnx", *add_ends(skeleton, rotations, translations, ends), clock,
+        path, "mvnx", *poses, clock,
         unit=unit, up=up, unit_in_file=1.0, up_in_file="z", notes=notes,
     )  # fmt: skip
 
