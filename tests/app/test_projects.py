@@ -187,3 +187,9 @@ def test_the_shared_folder_of_pose2sim(shared_data):
     project = find_project(shared_data("pose2sim/LICENSE").parent)
     assert project.program == "Pose2Sim" and project.cameras == ("cam01", "cam02", "cam03", "cam04")
     assert [len(take.films) for take in project.takes] == [4] and len(project.takes[0].results) == 2
+
+
+def test_a_folder_of_points_in_space_is_described_as_a_motion(dousa, shared_data):
+    """The command looks for 2D keypoints in a folder first."""
+    code, out, error = dousa("info", shared_data("reported") / "easymocap_keypoints3d" / "keypoints3d")
+    assert (code, error) == (0, "") and "30 frames" in out

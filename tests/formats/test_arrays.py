@@ -210,6 +210,10 @@ def test_an_array_alone_is_read_from_any_container(tmp_path):
     for content in (joints, scored, joints.tolist(), [*joints]):
         found = read_motion(save(path, pickle.dumps(content)), up="y", unit=1.0)
         np.testing.assert_allclose(found.positions, joints, atol=1e-12)
+    blank = joints.copy()
+    blank[len(blank) // 2] = 0.0  # a frame in which nobody was seen makes no rotations of the rest
+    found = read_motion(save(tmp_path / "x.npy", made.make_npy(blank)), up="y", unit=1.0)
+    assert np.isnan(found.positions).all(axis=(1, 2)).sum() == 1
     turns = arrays["poses"].reshape(-1, 24, 3)
     matrices = Rotation.from_rotvec(turns.reshape(-1, 3)).as_matrix().reshape(-1, 24, 3, 3)
     named = read_motion(save(tmp_path / "y.pkl", pickle.dumps({"poses": turns})), up="y")

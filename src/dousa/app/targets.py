@@ -89,7 +89,7 @@ def check_table(option: str, path: Path | None, inputs: Iterable[str | os.PathLi
     """
     if path is None or not _look_for_danger(option, path, [source for source in inputs if source is not None]):
         return
-    if _holds_motion(path):
+    if holds_motion(path):
         raise OptionError("targets.is_motion", option=option, path=path)
     if os.path.getsize(path):
         raise OptionError("targets.exists", option=option, path=path)
@@ -122,12 +122,13 @@ def _read_head(path: Path, n_bytes: int = 200) -> bytes:
         return b""  # writing it fails with an error of its own
 
 
-def _holds_motion(path: Path) -> bool:
+def holds_motion(path: Path) -> bool:
+    """Return whether a file, or a folder with one for each frame, is a motion; what may be anything is read."""
     from dousa.formats.registry import find_reader, read_motion
 
     if find_reader(path) is None:
         return False
-    if path.suffix.lower() not in (".csv", ".tsv", ".json"):  # these may be tables of anything
+    if not path.is_dir() and path.suffix.lower() not in (".csv", ".tsv", ".json"):
         return True
     try:
         read_motion(path)

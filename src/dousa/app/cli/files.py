@@ -14,7 +14,7 @@ from dousa.app.cli.usage import Json
 from dousa.app.output import console, fail, print_json, progress_bar, say, warn
 from dousa.app.requests.library import Character
 from dousa.app.requests.reading import PartReading, Reading
-from dousa.app.targets import ANYTHING, CLIP_MAP, DATABASE_HEAD, check_targets, is_same_file
+from dousa.app.targets import ANYTHING, CLIP_MAP, DATABASE_HEAD, check_targets, holds_motion, is_same_file
 from dousa.errors import DousaError, OptionError
 from dousa.files.disk import atomic_write
 from dousa.messages import Message
@@ -87,7 +87,7 @@ def _find_project(path: Path) -> Project | None:
     from dousa.app.pipelines.projects import find_project
     from dousa.estimation.keypoints.keypoint_files import holds_keypoints
 
-    if holds_keypoints(path):
+    if holds_keypoints(path) and not holds_motion(path):
         raise OptionError("project.keypoints", path=path)
     return find_project(path)
 

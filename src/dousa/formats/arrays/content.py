@@ -247,10 +247,11 @@ def _read_turns(array: NDArray[Any], uneven: float = 0.8) -> FloatArray | None:
     """
     if array.ndim not in (3, 4) or array.shape[1] not in JOINTS_OF or array.shape[2:] not in ((3,), (3, 3)):
         return None
-    if not len(array) or not np.isfinite(array).all():
+    if not array.any() or not np.isfinite(array).all():
         return None
     if array.ndim == 3:
-        names, places = mean_body(array.shape[1]).names, spread_frames(array.astype(np.float64))
+        seen = array[array.any(axis=(1, 2))]  # in a frame of zeros nobody was seen, or the body is at rest
+        names, places = mean_body(array.shape[1]).names, spread_frames(seen.astype(np.float64))
         is_person = measure_proportions(named_recipes(names)[0].apply(places)).is_person
         if np.abs(array).max() > 2 * np.pi or (is_person and measure_unevenness(places, names) < uneven):
             return None
