@@ -14,15 +14,17 @@ printed by itself. Several views are also spoilt, by one that is late or whose c
 more than 150 mm are found when so many of the others are said too; for the people it learns from, each by what the
 others teach, and for people, shapes and recordings left out (HDM05's dg, Bandai Namco's walking and running). Beside
 it the plainest way: the root mean square of the misfit (of keypoints, the reprojection error) alone, from what 5 % of
-the good frames of the same people exceed. What is made is kept, and so are the fits of films; some 15 s a clip on one
-core, 60 s a film.
+the good frames of the same people exceed. What is made is kept, and so are the fits of films until the code of the fit
+changes; some 15 s a clip on one core, 60 s a film.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -30,9 +32,10 @@ import cv2
 import numpy as np
 from scipy.optimize import minimize
 
+import dousa.estimation
 from dousa.arrays import BoolArray, FloatArray
 from dousa.estimation import MEDIAPIPE_NAMES, PersonTrack, TrackerSettings, estimate, fit_keypoints, make_human
-from dousa.estimation.body.doubt import LOST_ERROR, SIGNS, Cue
+from dousa.estimation.body.doubt import LOST_ERROR, SIGNS, Cue, find_misfit
 from dousa.estimation.body.kinematics import compute_points, point_names
 from dousa.estimation.body.posing import fit_pose
 from dousa.estimation.silhouettes.silhouettes import PackedSilhouettes
@@ -85,20 +88,23 @@ class Tracked(NamedTuple):
 
 
 class Learned(NamedTuple):
-    """Weights (S,), the expected mean error in m and the misfit from which a frame is said to be off."""
+    """Weights (S,), the expected mean error in m and the misfit from which a frame is said to be off.
+
+    ``by_misfit``: ``said`` is of the misfit, as no other sign tells the frames of people left out.
+    """
 
     weights: FloatArray
     said: float
     plain: float = np.inf
+    by_misfit: bool = False
 
     def expect(self, track: Tracked) -> FloatArray:
         """Compute the expected mean error (T,) m of each frame."""
         return np.asarray(np.sqrt(((self.weights * track.signs) ** 2).sum(axis=-1)).mean(axis=1))
 
-
-def find_misfit(track: Tracked) -> FloatArray:
-    """Compute the root mean square (T,) of the misfit, of keypoints m off in the pictures: the plainest doubt."""
-    return np.asarray(np.sqrt((track.signs[..., SIGNS.index("misfit")] ** 2).mean(axis=1)))
+    def says(self, track: Tracked) -> BoolArray:
+        """Return whether each frame (T,) is said to be off."""
+        return np.asarray((find_misfit(track.signs) if self.by_misfit else self.expect(track)) > self.said)
 
 
 def disturb(clip: BenchClip, rng: np.random.Generator) -> BenchClip:
@@ -230,21 +236,32 @@ def learn(tracks: Sequence[Tracked], tail: float = 4.0) -> FloatArray:
 
 
 def learn_bound(tracks: Sequence[Tracked], least: float = 0.05) -> Learned:
-    """Learn the weights, and from where to say it: ``least`` is the share that may be said wrongly."""
+    """Learn the weights, and from where to say it: ``least`` is the share that may be said wrongly.
+
+    With one view of keypoints it is said by the misfit: of other films like these, drawn with replacement, nine in ten
+    draws say no more wrongly.
+    """
     learned = Learned(learn(tracks), LOST_ERROR)
     if tracks[0].kind == ("silhouettes", 1):
         return learned  # nothing tells good frames: the expected error itself decides
     usual = [track for track in tracks if track.usual]
     said, plain = (float(np.quantile(np.concatenate([measure(track)[~track.off] for track in usual]), 1.0 - least))
-                   for measure in (learned.expect, find_misfit))  # fmt: skip
-    return learned._replace(said=said, plain=plain)
+                   for measure in (learned.expect, lambda track: find_misfit(track.signs)))  # fmt: skip
+    if tracks[0].kind != ("keypoints", 1):
+        return learned._replace(said=said, plain=plain)
+    films, rng = sorted({track.film for track in usual}), np.random.default_rng(0)
+    good = [np.concatenate([find_misfit(track.signs)[~track.off] for track in usual if track.film == film])
+            for film in films]  # fmt: skip
+    draws = [np.concatenate([good[row] for row in rng.integers(len(good), size=len(good))]) for _ in range(300)]
+    surely = float(np.quantile([np.quantile(draw, 1.0 - least) for draw in draws], 0.9))
+    return learned._replace(said=surely, plain=plain, by_misfit=True)
 
 
 def print_curve(name: str, tracks: Sequence[Tracked], learned: Sequence[Learned]) -> None:
     """Print how many frames off are found, each track by its own weights, when so many of the others are said."""
     expected = np.concatenate([own.expect(track) for own, track in zip(learned, tracks, strict=True)])
-    said = np.concatenate([own.expect(track) > own.said for own, track in zip(learned, tracks, strict=True)])
-    plain = np.concatenate([find_misfit(track) > own.plain for own, track in zip(learned, tracks, strict=True)])
+    said = np.concatenate([own.says(track) for own, track in zip(learned, tracks, strict=True)])
+    plain = np.concatenate([find_misfit(track.signs) > own.plain for own, track in zip(learned, tracks, strict=True)])
     actual = np.concatenate([np.nanmean(track.errors, axis=1) for track in tracks])
     off = np.concatenate([track.off for track in tracks])
     cells = [name, f"{off.sum()} of {len(off)}"]
@@ -299,6 +316,14 @@ def track_all(given: argparse.Namespace, people: str, number: int) -> list[Track
     return [track(own, views, "auto") for own in (clean, noisy) for views in _VIEWS]
 
 
+@cache
+def _hash_code() -> str:
+    """Return what tells the code of the fit from any other."""
+    folder = Path(dousa.estimation.__path__[0])
+    files = [path for part in ("body", "multiview") for path in sorted((folder / part).iterdir()) if path.is_file()]
+    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
+
+
 def fit_all(given: argparse.Namespace, people: str, number: int) -> list[Tracked]:
     """Fit a film's keypoints in all ways; the film is made if it is not there, and what was fitted is kept."""
     found = []
@@ -306,14 +331,15 @@ def fit_all(given: argparse.Namespace, people: str, number: int) -> list[Tracked
         if what not in given.fits.split(","):
             continue
         path = given.kept / "fits" / f"{people.replace(' ', '_')}_{number:03d}_{what}_{views}.npz"
-        if not path.is_file():
+        kept = dict(np.load(path)) if path.is_file() else {}
+        if str(kept.get("code")) != _hash_code():
             film = open_film(given.kept / "films" / _name(people, number), given, people, number)
             path.parent.mkdir(parents=True, exist_ok=True)
             own = fit(film, views, what)
-            np.savez_compressed(path, signs=own.signs, errors=own.errors, away=own.away)
-        with np.load(path) as kept:
-            found.append(Tracked(kept["signs"], kept["errors"], ("keypoints", min(views, 2)), f"{what}, {views}",
-                                 away=kept["away"]))  # fmt: skip
+            kept = {"signs": own.signs, "errors": own.errors, "away": own.away, "code": np.array(_hash_code())}
+            np.savez_compressed(path, **kept)
+        found.append(Tracked(kept["signs"], kept["errors"], ("keypoints", min(views, 2)), f"{what}, {views}",
+                             away=kept["away"]))  # fmt: skip
     return found
 
 

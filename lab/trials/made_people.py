@@ -62,6 +62,8 @@ _RATE, _FRAMES, _SIZE, _DIMNESS = 15.0, 30, (720, 960), 3.0
 _JOINTS = {"shoulder": ("upperarm01", "trunk"), "elbow": ("lowerarm01", "forearm"), "wrist": ("wrist", "hand"),
            "hip": ("upperleg01", "thigh"), "knee": ("lowerleg01", "shank"), "ankle": ("foot", "foot")}  # fmt: skip
 _POINTS = _JOINTS | {"hand": ("wrist", "hand"), "heel": ("foot", "foot"), "toe": ("foot", "foot")}
+_LIMBS = (("upper_arm", "shoulder", "elbow"), ("forearm", "elbow", "wrist"), ("thigh", "hip", "knee"),
+          ("shank", "knee", "ankle"))  # fmt: skip
 _HEAD = ("nose", "eye", "ear", "mouth")
 _WAYS = (("elbow", "shoulder"), ("wrist", "elbow"), ("hand", "wrist"), ("knee", "hip"), ("ankle", "knee"),
          ("heel", "ankle"), ("toe", "ankle"))  # fmt: skip
@@ -170,6 +172,20 @@ class Film:
             missing.append([mask is None for mask in read])
         names = [self.cameras[view].name for view in views]
         return PackedSilhouettes.from_packed(packed, sizes, self.rate, names, np.array(missing))
+
+    @property
+    def lengths(self) -> dict[str, float]:
+        """The true lengths of limbs and breadths (m), of limbs the mean of both sides."""
+        places = dict(zip(self.joints, np.swapaxes(self.truth, 0, 1), strict=True))
+
+        def apart(one: str, other: str) -> float:
+            return float(np.linalg.norm(places[one] - places[other], axis=1).mean())
+
+        limbs = {
+            name: 0.5 * sum(apart(f"{side}_{one}", f"{side}_{other}") for side in ("left", "right"))
+            for name, one, other in _LIMBS
+        }
+        return limbs | {f"{joint}_breadth": apart(f"left_{joint}", f"right_{joint}") for joint in ("hip", "shoulder")}
 
     @property
     def shown(self) -> list[int]:

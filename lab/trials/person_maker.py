@@ -23,8 +23,9 @@ from dousa.arrays import BoolArray, FloatArray
 from dousa.errors import JointMappingError
 from dousa.estimation import Camera, make_human, poses_from_motion
 from dousa.estimation.body.kinematics import place_parts
+from dousa.estimation.body.skeleton_body import fit_body
 from dousa.formats.registry import read_motion
-from dousa.motion import Motion, compute_trajectories
+from dousa.motion import Motion, canonicalise, compute_trajectories
 from lab.places import SHARED_DATA
 
 N_BODY = 13380  # vertices of the skin; helpers follow
@@ -195,7 +196,8 @@ def move_person(
         chosen = np.arange(first, min(motion.n_frames, first + n_frames * step), step)
         part = replace(motion, positions=motion.positions[chosen], frame_rate=motion.frame_rate / step)
         with suppress(JointMappingError):  # some takes of UI-PRMD lack a wrist: then another one
-            poses = poses_from_motion(body, part)
+            # Bones of the recording's own lengths: onto another trunk it would bend the back of every frame.
+            poses = poses_from_motion(fit_body(body, canonicalise(part, whole=True).positions), part)
     turns, places = place_parts(body, poses)
     hips = 0.5 * (places[:, body.names.index("left_thigh")] + places[:, body.names.index("right_thigh")])
     hips = hips - hips.mean(axis=0) * (1, 0, 1)

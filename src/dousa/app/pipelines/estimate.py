@@ -31,12 +31,11 @@ from dousa.app.pipelines.film_scene import (
     open_plates,
     with_outputs,
 )
-from dousa.app.pipelines.film_sources import PairedSources, is_motion, pair_sources, shows_masks
+from dousa.app.pipelines.film_sources import FilmSource, PairedSources, is_motion, pair_sources, shows_masks
 from dousa.app.pipelines.projects import take_project
 from dousa.app.pipelines.track_log import PartialFile, describe_files, fingerprint
 from dousa.arrays import FloatArray
 from dousa.errors import KeypointError, OptionError, SilhouetteError
-from dousa.estimation.keypoints.keypoint_files import holds_keypoints
 from dousa.extras import require
 from dousa.messages import Message
 
@@ -44,7 +43,7 @@ if TYPE_CHECKING:
     from dousa.app.output import ProgressCallback
     from dousa.app.requests.estimation import EstimationRequest
     from dousa.estimation import BodyModel, Camera, Silhouettes
-    from dousa.estimation.multiview.keypoint_fit import KeypointFit
+    from dousa.estimation.multiview.keypoint_fit import KeypointFit, PartialFit
     from dousa.estimation.multiview.people import MatchedPerson
     from dousa.estimation.tracking.settings import Estimate
     from dousa.estimation.tracking.tracker import PartialTrack
@@ -250,8 +249,8 @@ def estimate_sources(
             raise OptionError("film_estimate.motion", path=path)
     request = take_project(request, tell)
     sources = pair_sources(request.sources)
-    if _takes_keypoints(replace(request, sources=tuple(view.source for view in sources.views)), tell):
-        return estimate_films(request, sources, progress)
+    if _takes_keypoints(request, sources.views, tell):
+        return estimate_films(request, sources, progress, tell)
     if sources.masks:
         request = replace(request, sources=sources.masks)
     for option, given in (("--person", request.person != 1), ("--everybody", request.everybody)):
@@ -260,20 +259,22 @@ def estimate_sources(
     return (estimate_files(request, progress, tell),)
 
 
-def _takes_keypoints(request: EstimationRequest, tell: Callable[[Message], None] | None) -> bool:
-    films = is_films(request)
+def _takes_keypoints(
+    request: EstimationRequest, views: Sequence[FilmSource], tell: Callable[[Message], None] | None
+) -> bool:
+    films = is_films(request, views)
     if request.cues in ("keypoints", "both"):
         if not films:
             raise OptionError("film_estimate.no_films", cues=request.cues)
         return True
-    if request.cues is None and films and any(map(holds_keypoints, request.sources)):
+    if request.cues is None and films and any(view.has_keypoints for view in views):
         return True
     installed = has_models()
     if request.cues is None and films and not installed and request.cameras is None:
         raise OptionError("film_estimate.nothing_known")
     if request.cues is not None or not films or not (installed or (request.cameras and not has_plates(request))):
         return False
-    if any(shows_masks(path) for path in request.sources):
+    if any(shows_masks(view.source) for view in views):
         return False
     if installed:
         return True
@@ -283,7 +284,10 @@ def _takes_keypoints(request: EstimationRequest, tell: Callable[[Message], None]
 
 
 def estimate_films(
-    request: EstimationRequest, sources: PairedSources, progress: ProgressCallback | None = None
+    request: EstimationRequest,
+    sources: PairedSources,
+    progress: ProgressCallback | None = None,
+    tell: Callable[[Message], None] | None = None,
 ) -> tuple[Estimation, ...]:
     """Estimate the motions of people in films from their keypoints; ``sources`` are those of the request.
 
@@ -320,7 +324,7 @@ def estimate_films(
             check_outputs(numbered.outputs, numbered.inputs)
         try:
             seen = replace(numbered, sources=sources.seen)
-            answers.append(estimate_person(seen, films, person, report, alone=is_alone(people)))
+            answers.append(estimate_person(seen, films, person, report, tell, alone=is_alone(people)))
         except KeypointError:
             if not answers:
                 raise
@@ -377,6 +381,7 @@ def estimate_person(
     films: FilmScene,
     person: MatchedPerson,
     report: ProgressCallback,
+    tell: Callable[[Message], None] | None = None,
     watcher: Watcher | None = None,
     *,
     alone: bool = True,
@@ -388,7 +393,7 @@ def estimate_person(
     request : its body, stature and outputs.
     films : on one clock.
     person : of `match_people`.
-    report : called with (done, total, what).
+    report, tell : see `estimate_files`; ``report`` is not None.
     watcher : sees the scene and the estimate.
     alone : whether the films show nobody else: what is not background is then the person.
 
@@ -396,7 +401,7 @@ def estimate_person(
     ------
     KeypointError : too little is seen of the person.
     """
-    from dousa.estimation.multiview.keypoint_fit import PartialFit, fit_keypoints, fit_some_girths
+    from dousa.estimation.multiview.keypoint_fit import PartialFit, fit_some_girths
 
     if request.body is not None and request.stature is not None:
         raise OptionError("estimate.body_and_stature")
@@ -407,19 +412,10 @@ def estimate_person(
         raise OptionError("film_estimate.no_masks")
     kept = PartialFile(request.outputs.first, _fingerprint_person(request, films, person, given))
     done, note = kept.load(PartialFit)
-    fit = fit_keypoints(
-        films.cameras,
-        person.tracks,
-        films.found[0].names,
-        films.frame_rate,
-        body=given,
-        stature=request.stature,
-        sex=request.sex,
-        silhouettes=silhouettes if silhouettes.has_masks and request.cues != "keypoints" else None,
-        progress=report,
-        resume=done,
-        on_checkpoint=kept.save,
-    )
+    resumed = 0 if done is None else len(done.poses)
+    if tell is not None and done is not None:
+        tell(Message("estimate.resumed", frame=resumed, total=len(films.moments)))
+    fit = _fit_person(request, films, person, given, silhouettes, report, kept, done)
     cameras, estimate = silhouettes.fit_cameras(films.cameras), fit.estimate
     if silhouettes.has_masks:
         if request.cues == "keypoints":
@@ -438,9 +434,35 @@ def estimate_person(
         written = write_outputs(request.outputs, estimate, silhouettes, cameras, report)
     kept.remove()
     words = _body_words(request, estimate)
-    resumed = 0 if done is None else len(done.poses)
     return Estimation(estimate, films.names, words, Message("estimate.start_keypoints"), films.first_frame, resumed,
                       written, tuple(dict.fromkeys(warnings)))  # fmt: skip
+
+
+def _fit_person(
+    request: EstimationRequest,
+    films: FilmScene,
+    person: MatchedPerson,
+    body: BodyModel | None,
+    silhouettes: PersonSilhouettes,
+    report: ProgressCallback,
+    kept: PartialFile,
+    done: PartialFit | None,
+) -> KeypointFit:
+    from dousa.estimation.multiview.keypoint_fit import fit_keypoints
+
+    return fit_keypoints(
+        films.cameras,
+        person.tracks,
+        films.found[0].names,
+        films.frame_rate,
+        body=body,
+        stature=request.stature,
+        sex=request.sex,
+        silhouettes=silhouettes if silhouettes.has_masks and request.cues != "keypoints" else None,
+        progress=report,
+        resume=done,
+        on_checkpoint=kept.save,
+    )
 
 
 def _fingerprint_person(

@@ -13,7 +13,7 @@ import numpy as np
 
 from dousa.app.pipelines.doubts import parse_frames
 from dousa.app.pipelines.estimation_views import check_count, read_view_cameras
-from dousa.app.pipelines.film_sources import PairedSources, is_keypoints, name_films, shows_masks
+from dousa.app.pipelines.film_sources import FilmSource, PairedSources, is_keypoints, name_films, shows_masks
 from dousa.arrays import FloatArray, Image, IndexArray, Mask, nearest_frames
 from dousa.errors import CalibrationError, KeypointError, OptionError
 from dousa.estimation.silhouettes.silhouettes import Silhouettes, View
@@ -551,21 +551,19 @@ def has_plates(request: EstimationRequest) -> bool:
     return bool(request.backgrounds) or request.background_method is not None
 
 
-def is_films(request: EstimationRequest) -> bool:
-    """Whether the sources are films of a scene, with plates or without, or their keypoints."""
-    from dousa.estimation.keypoints.keypoint_files import holds_keypoints
+def is_films(request: EstimationRequest, views: Sequence[FilmSource]) -> bool:
+    """Whether the views are films of a scene, with plates or without, or their keypoints."""
     from dousa.estimation.silhouettes.images import IMAGE_ENDINGS
 
     endings = (".npz", *IMAGE_ENDINGS)
     if request.kind == "mask" or (has_plates(request) and request.cues not in (None, "both")):
         return False
-    if request.start is not None or not request.sources:
+    if request.start is not None or not views:
         return False
     if request.cues in ("keypoints", "both"):
-        return not any(path.suffix.lower() in IMAGE_ENDINGS for path in request.sources)
-    return all(
-        (path.is_file() and path.suffix.lower() not in endings) or holds_keypoints(path) for path in request.sources
-    )
+        return not any(view.source.suffix.lower() in IMAGE_ENDINGS for view in views)
+    return all(view.has_keypoints or (view.source.is_file() and view.source.suffix.lower() not in endings)
+               for view in views)  # fmt: skip
 
 
 def check_scenes(paths: Sequence[Path], progress: ProgressCallback) -> None:

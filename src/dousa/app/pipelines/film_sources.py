@@ -31,6 +31,11 @@ class FilmSource:
     source: Path
     film: Path | None
 
+    @property
+    def has_keypoints(self) -> bool:
+        """Whether the source holds keypoints, and is not the film itself."""
+        return self.film != self.source
+
 
 class PairedSources(NamedTuple):
     """The views, and files or folders of masks, each of one view or of all."""

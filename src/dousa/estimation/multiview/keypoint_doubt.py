@@ -1,7 +1,7 @@
 """What keypoints say of how far off a fitted body is: the evidence that `dousa.estimation.body.doubt` weighs.
 
-With one view nothing in the picture tells the distance: its spread is stated by itself, and only frames are ``lost`` in
-which nobody is seen.
+With one view nothing in the picture tells the distance: its spread is stated by itself, and ``lost`` is said of the
+posture.
 """
 
 from __future__ import annotations

@@ -49,9 +49,6 @@ from dousa.motion.resampling import fill_gaps
 
 _MEASURES = ("upper_arm", "forearm", "thigh", "shank", "trunk", "shoulder_breadth", "hip_breadth", "head", "foot")
 _STATURE_SIGMA, _GIVEN_SIGMA, _MEASURE_SIGMA = 0.03, 0.01, 0.06  # of logarithms
-# Points at hips and shoulders alone do not show how far the pelvis tilts. In recordings the trunk keeps to a share of
-# its range half as large as limbs do (lab/notes/estimation.md), which is four times the cost.
-_STIFF_TRUNK = 4.0
 _MOVED = {"hip": "thigh", "shoulder": "upper_arm"}  # joints that no length of a limb places, by the part that they turn
 _BONES = (("hip", "knee", "thigh"), ("knee", "ankle", "shank"), ("shoulder", "elbow", "upper_arm"),
           ("elbow", "wrist", "forearm"))  # fmt: skip
@@ -123,7 +120,7 @@ def fit_keypoints(
 ) -> KeypointFit:
     """Fit a body to one person's keypoints.
 
-    Frames are ``lost`` that are probably off by more than 150 mm (not said of one view), or show too few points.
+    Frames are ``lost`` that are probably off by more than 150 mm (of one view in posture), or show too few points.
 
     Parameters
     ----------
@@ -158,21 +155,12 @@ def fit_keypoints(
     poses, determined = _first_poses(given, places, seen.names, frame_rate)
     one = len(shown) == 1  # weight and ease were chosen on the films of lab/trials/made_people.py
     terms = Terms(cameras, seen, frame_rate, *((1.0, 4.0) if one else ()))
-    if not lie_beside_joints(seen.names):
-        terms = replace(terms, trunk=_STIFF_TRUNK)
     own, landmarks, lengths = _find_body(given, body is None, stature, sex, poses, determined, terms)
     tell(2, 4, Message("multiview.fitting"))
     windows = _Windows(window, margin, tell, resume, on_checkpoint or (lambda make: None))
-    if resume is not None and resume.stage > 0:
-        poses = resume.before
-    else:
-        poses, covariance = windows.fit(0, own, poses, landmarks, terms)
-    if silhouettes is not None:
-        own = fit_some_girths(own, poses, silhouettes, cameras)
-        terms = replace(terms, contours=_trace_contours(silhouettes, cameras))
-        poses, covariance = windows.fit(1, own, poses, landmarks, terms)
+    own, fitted = _fit_motion(windows, own, poses, landmarks, terms, silhouettes)
     sigma = _STATURE_SIGMA if body is None and stature is None else 0.0
-    return _answer((own, landmarks, lengths), (poses, covariance), terms, exchanged, begun, sigma)
+    return _answer((own, landmarks, lengths), fitted, terms, exchanged, begun, sigma)
 
 
 def _check_tracks(cameras: Sequence[Camera], tracks: Sequence[PersonTrack | None], n_frames: int) -> None:
@@ -344,11 +332,12 @@ def _find_spreads(
 
 
 def _stand(body: BodyModel, landmarks: Landmarks) -> float:
-    """Return the stature of a body by how high its head is when it stands.
+    """Return the stature of a body by how high its head is when it stands; without a point there, its shoulders.
 
     Arms and breadths say little of a stature; what stands on the floor adds up to it, hair and shoes left out.
     """
-    rows = [row for row, group in enumerate(landmarks.groups) if group == "head"]
+    highest = "head" if "head" in landmarks.groups else "shoulder"
+    rows = [row for row, group in enumerate(landmarks.groups) if group == highest]
     if not rows:
         return body.stature
     usual = make_human(body.stature)
@@ -429,6 +418,27 @@ class _Windows:
             covariance.append(_joint_covariance(body, poses[-1], doubt[kept]))
             self.save(lambda: PartialFit(stage, before, np.concatenate(poses), np.concatenate(covariance)))
         return np.concatenate(poses), np.concatenate(covariance)
+
+
+def _fit_motion(
+    windows: _Windows,
+    body: BodyModel,
+    poses: FloatArray,
+    landmarks: Landmarks,
+    terms: Terms,
+    silhouettes: Silhouettes | None,
+) -> tuple[BodyModel, tuple[FloatArray, FloatArray]]:
+    """Return the body, with its girths where there are silhouettes, and its poses and covariance."""
+    if windows.resume is not None and windows.resume.stage > 0:
+        poses = windows.resume.before
+    else:
+        fitted = windows.fit(0, body, poses, landmarks, terms)
+        poses = fitted[0]
+    if silhouettes is not None:
+        body = fit_some_girths(body, poses, silhouettes, terms.cameras)
+        terms = replace(terms, contours=_trace_contours(silhouettes, terms.cameras))
+        fitted = windows.fit(1, body, poses, landmarks, terms)
+    return body, fitted
 
 
 def _answer(

@@ -120,7 +120,6 @@ class Terms:
     frame_rate : Hz.
     world_weight : weight of the network's own places in space, 0 to 1.
     ease : factor of the pull of joints to their neutral angles.
-    trunk : further factor of that of the trunk.
     lasting : s, over which the errors of a network's points stay much the same.
     world_lasting : s, likewise of its places in space.
     tail : degrees of freedom of Student's t: the fewer, the less points count that are far off.
@@ -134,7 +133,6 @@ class Terms:
     frame_rate: float
     world_weight: float = 0.0
     ease: float = 1.0
-    trunk: float = 1.0
     lasting: float = 0.1
     world_lasting: float = 0.3
     tail: float = 4.0
@@ -268,10 +266,12 @@ def _add_world(
                  share * np.where(known, costs, 0.0).sum(axis=1))  # fmt: skip
 
 
-def angle_rest(body: BodyModel, rest: float = 0.8, trunk: float = 1.0) -> tuple[FloatArray, FloatArray]:
-    """Return neutral angles (A,), and the cost of a squared radian off them, ``trunk`` times as much for the trunk.
+def angle_rest(body: BodyModel, rest: float = 0.8, trunk: float = 0.24) -> tuple[FloatArray, FloatArray]:
+    """Return neutral angles (A,), and the cost of a squared radian off them.
 
-    One sigma of a joint of stiffness 1 is the share ``rest`` of half its range.
+    One sigma of a joint of stiffness 1 is the share ``rest`` of half its range, and of the trunk ``trunk`` rad, as in
+    recordings (lab/notes/estimation.md): hips and shoulders alone do not show how a bend is shared between hips and
+    back.
     """
     ease, cost = [], []
     for name, stiffness, limits, neutral, count in zip(
@@ -279,7 +279,7 @@ def angle_rest(body: BodyModel, rest: float = 0.8, trunk: float = 1.0) -> tuple[
     ):
         half = 0.5 * np.ptp(limits[:count], axis=1)
         ease.append(neutral[:count])
-        cost.append((trunk if name == "trunk" else 1.0) * stiffness / (rest * np.maximum(half, 0.05)) ** 2)
+        cost.append(stiffness / (trunk if name == "trunk" else rest * np.maximum(half, 0.05)) ** 2 * np.ones(count))
     return np.concatenate(ease), np.concatenate(cost)
 
 
@@ -287,7 +287,7 @@ def _add_angles(sums: _Equations, body: BodyModel, poses: FloatArray, terms: Ter
     """Add limits and ease of the joints; ``limit`` rad beyond a limit are one sigma."""
     angles, limits = poses[:, 7:], body.angle_limits
     beyond = angles - np.clip(angles, limits[:, 0], limits[:, 1])
-    ease, rest = angle_rest(body, trunk=terms.trunk)
+    ease, rest = angle_rest(body)
     off, rest = angles - ease, terms.ease * terms.share * rest
     hard = terms.share * (beyond != 0) / limit**2
     rows = np.arange(6, sums.square.shape[1])

@@ -81,7 +81,7 @@ def _estimate(
         asked, stored = _take_masks(request["masks"], asked, context)
         return estimate_files(asked, context.progress, tell, _PictureBringer(footage, stored))
     if takes_films(request, asked, tell):
-        return estimate_from_films(request, asked, context, footage)
+        return estimate_from_films(request, asked, context, footage, tell)
     return estimate_files(asked, context.progress, tell, footage)
 
 

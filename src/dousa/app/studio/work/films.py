@@ -11,7 +11,6 @@ from dousa.app.pipelines.film_sources import FilmSource, PairedSources, pair_sou
 from dousa.app.studio.core.answers import shorten, to_message
 from dousa.app.studio.jobs.lanes import Context
 from dousa.errors import KeypointError, OptionError
-from dousa.estimation.keypoints.keypoint_files import holds_keypoints
 from dousa.extras import require
 from dousa.messages import Message
 
@@ -47,9 +46,10 @@ def takes_films(request: dict[str, Any], asked: EstimationRequest, tell: Callabl
         return request["cues"] in ("keypoints", "both")
     if not asked.sources or asked.kind == "mask" or asked.start is not None:
         return False
-    if any(holds_keypoints(path) for path in asked.sources):
+    views = pair_sources(asked.sources).views
+    if any(view.has_keypoints for view in views):
         return True
-    if not is_films(asked) or any(shows_masks(path) for path in asked.sources):
+    if not is_films(asked, views) or any(shows_masks(path) for path in asked.sources):
         return False
     if asked.cameras is None or has_models():
         return True
@@ -65,9 +65,9 @@ def check_films(asked: EstimationRequest) -> PairedSources:
     if asked.mirrored:
         raise OptionError("film_estimate.mirrored")
     for view in paired.views:
-        if view.film is not None or not holds_keypoints(view.source):
+        if view.film is not None:
             require("av", "film")
-        if not holds_keypoints(view.source):
+        if not view.has_keypoints:
             require("ai_edge_litert", "film")
             for name in (DETECTOR, asked.model or choose_pose_model()):
                 find_pose_model(name)
@@ -78,7 +78,11 @@ def check_films(asked: EstimationRequest) -> PairedSources:
 
 
 def estimate_from_films(
-    request: dict[str, Any], asked: EstimationRequest, context: Context, footage: FootageWriter
+    request: dict[str, Any],
+    asked: EstimationRequest,
+    context: Context,
+    footage: FootageWriter,
+    tell: Callable[[Message], None],
 ) -> Estimation:
     """Estimate one person, and record everything that is found; DousaError for problems that the user can correct.
 
@@ -88,6 +92,7 @@ def estimate_from_films(
     asked : the same with real paths.
     context : of the job.
     footage : takes the motion.
+    tell : called with what a person should know before the fit.
     """
     from dousa.app.pipelines.estimate import check_agreement, estimate_person, is_alone
     from dousa.app.pipelines.film_scene import place_films
@@ -118,7 +123,8 @@ def estimate_from_films(
     write_cameras(context.folder / CAMERAS, scene.cameras)
     asked = _without_empty_overlay(heard, paired, kept)
     watcher = _Watcher(footage, record)
-    return estimate_person(asked, scene, people[chosen], context.progress, watcher, alone=is_alone(people))
+    alone = is_alone(people)
+    return estimate_person(asked, scene, people[chosen], context.progress, tell, watcher, alone=alone)
 
 
 def _show_films(views: Sequence[FilmSource], record: FilmRecordWriter, context: Context) -> None:
@@ -250,7 +256,7 @@ def _look_at_view(
         with FilmFrames(view.film) as film:
             size, n_frames, rate = film.size, film.n_stated, film.nominal_rate
         picture = _middle_picture(view.film, n_frames)
-    if view.film is None or holds_keypoints(view.source):
+    if view.has_keypoints:
         given = None if asked.size is None else parse_size(asked.size)
         found = read_keypoints(view.source, size=given, frame_rate=asked.rate, usual_size=usual)
         size, n_frames, rate = found.size, found.n_frames, found.frame_rate
