@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -45,45 +46,70 @@ def turn_onto(source: FloatArray, target: FloatArray) -> FloatArray:
     return np.asarray(u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt)
 
 
-def solve_pose(
-    body: BodyModel,
-    places: FloatArray,
-    rows: IndexArray,
-    start: FloatArray,
+def minimise(
+    state: Any,
+    evaluate: Callable[[Any], tuple[float, Any]],
+    linearise: Callable[[Any, Any], Callable[[float], Any]],
     *,
-    most_steps: int = 60,
-    difference: float = 1e-6,
-    settled: float = 1e-7,
-    damping_range: tuple[float, float] = (1e-9, 1e6),
+    steps: int,
+    settled: float,
+    damping: float,
+    most_damping: float,
+) -> tuple[Any, Any]:
+    """Minimise a cost by Levenberg and Marquardt's method; return the state and what `evaluate` found there.
+
+    Parameters
+    ----------
+    state : to begin with.
+    evaluate : a state -> its cost, and what the next step needs of it.
+    linearise : a state, and that -> a function that takes a damping to the next state.
+    steps : at most.
+    settled : the end, once a step gains less than this share of the cost.
+    damping, most_damping : at the beginning, and beyond which no step is taken.
+    """
+    cost, found = evaluate(state)
+    for _ in range(steps):
+        move = linearise(state, found)
+        while damping < most_damping:
+            tried = move(damping)
+            tried_cost, tried_found = evaluate(tried)
+            if tried_cost < cost:
+                break
+            damping *= 5.0
+        else:
+            break
+        gained = cost - tried_cost
+        state, cost, found = tried, tried_cost, tried_found
+        damping = max(damping / 8.0, 1e-6)
+        if gained <= settled * abs(cost):
+            break
+    return state, found
+
+
+def solve_pose(
+    body: BodyModel, places: FloatArray, rows: IndexArray, start: FloatArray, *, difference: float = 1e-6
 ) -> tuple[FloatArray, float]:
     """Return the pose (7 + A,) near ``start`` whose points ``rows`` fit ``places`` (N, 3) best, and its cost.
 
-    Of at most ``most_steps`` steps the first that gains less than the share ``settled`` is the last; a damping beyond
-    the range ends the search too. Slopes are taken over ``difference`` m or rad.
+    Slopes are taken over ``difference`` m or rad.
     """
-    evaluate = _make_residuals(body, places, rows, start)
-    pose, damping = start.copy(), 1e-3
-    residuals = evaluate(pose[None])[0]
-    cost = residuals @ residuals
-    for _ in range(most_steps):
+    compute = _make_residuals(body, places, rows, start)
+
+    def evaluate(pose: FloatArray) -> tuple[float, FloatArray]:
+        residuals = compute(pose[None])[0]
+        return float(residuals @ residuals), residuals
+
+    def linearise(pose: FloatArray, residuals: FloatArray) -> Callable[[float], FloatArray]:
         steps = np.eye(6 + body.n_angles) * difference
-        slope = (evaluate(step_poses(pose[None].repeat(len(steps), axis=0), steps)) - residuals).T / difference
+        slope = (compute(step_poses(pose[None].repeat(len(steps), axis=0), steps)) - residuals).T / difference
         square, gradient = slope.T @ slope, slope.T @ residuals
-        while damping < damping_range[1]:
-            damped = square + np.diag(damping * (np.diag(square) + 1e-6))
-            tried = step_poses(pose[None], -np.linalg.solve(damped, gradient)[None])
-            result = evaluate(tried)[0]
-            if result @ result < cost:
-                break
-            damping *= 4.0
-        else:
-            break
-        gained = cost - result @ result
-        pose, residuals, cost = tried[0], result, float(result @ result)
-        damping = max(damping / 6.0, damping_range[0])
-        if gained <= settled * cost:
-            break
-    return pose, float(cost)
+        scale = np.diag(np.diag(square) + 1e-6)
+        return lambda damping: step_poses(pose[None], -np.linalg.solve(square + damping * scale, gradient)[None])[0]
+
+    pose, residuals = minimise(
+        start.copy(), evaluate, linearise, steps=60, settled=1e-7, damping=1e-3, most_damping=1e6
+    )
+    return pose, float(residuals @ residuals)
 
 
 def _make_residuals(

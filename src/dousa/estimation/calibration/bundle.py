@@ -11,12 +11,13 @@ adjustment - a modern synthesis, 2000, section 6.1): the cost of a step grows li
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from dousa.arrays import BoolArray, FloatArray, IndexArray
+from dousa.estimation.body.posing import minimise
 from dousa.motion.rotations import from_axis_angle, to_matrix
 
 CAMERA_UNKNOWNS = 8
@@ -185,7 +186,6 @@ def adjust(
     *,
     cauchy: float = 2.0,
     settled: float = 1e-6,
-    damping_range: tuple[float, float] = (1e-9, 1e9),
 ) -> Fit:
     """Improve cameras and points together, by Levenberg's and Marquardt's method on reweighted squares.
 
@@ -199,28 +199,19 @@ def adjust(
     steps : at most.
     cauchy : spreads, where the robust function begins to give in.
     settled : relative gain of the last step.
-    damping_range : least, and greatest with which a step is tried.
     """
     known = sightings.seen_twice & np.isfinite(points).all(axis=-1)
     problem = _Problem(sightings, known, tuple(limbs), freedom, np.log(rig.focals), cauchy)
     state = _State(rig, np.where(known[..., None], points, 0.0), _measure_limbs(points, known, limbs))
-    cost, damping = problem.cost(state), 1e-3
-    for _ in range(steps):
+
+    def linearise(state: _State, _: None) -> Callable[[float], _State]:
         system = problem.linearise(state)
-        while True:
-            trial = problem.move(state, *system.solve(damping))
-            new = problem.cost(trial)
-            if new < cost or damping > damping_range[1]:
-                break
-            damping *= 10.0
-        if not new < cost:
-            break
-        gain, cost, state = cost - new, new, trial
-        damping = max(damping / 10.0, damping_range[0])
-        if gain < settled * cost:
-            break
-    covariance = problem.linearise(state).covariance()
-    return Fit(state.rig, np.where(known[..., None], state.points, np.nan), np.exp(state.lengths), cost, covariance)
+        return lambda damping: problem.move(state, *system.solve(damping))
+
+    state, _ = minimise(state, lambda state: (problem.cost(state), None), linearise,
+                        steps=steps, settled=settled, damping=1e-3, most_damping=1e9)  # fmt: skip
+    placed, covariance = np.where(known[..., None], state.points, np.nan), problem.linearise(state).covariance()
+    return Fit(state.rig, placed, np.exp(state.lengths), problem.cost(state), covariance)
 
 
 def _measure_limbs(points: FloatArray, known: BoolArray, limbs: Sequence[Limb]) -> FloatArray:

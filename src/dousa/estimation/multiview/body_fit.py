@@ -20,6 +20,7 @@ import numpy as np
 from dousa.arrays import FloatArray
 from dousa.estimation.body.body import BodyModel
 from dousa.estimation.body.kinematics import pose_difference, step_poses
+from dousa.estimation.body.posing import minimise
 from dousa.estimation.multiview.landmarks import SHIFTS, Landmarks
 from dousa.estimation.multiview.pose_residuals import Terms, image_weights, normal_equations, place_points, point_slopes
 from dousa.estimation.multiview.triangulation import project_slope
@@ -71,46 +72,6 @@ class FittedBody:
     poses: FloatArray
     values: FloatArray
     covariance: FloatArray
-
-
-def minimise(
-    state: Any,
-    evaluate: Callable[[Any], tuple[float, Any]],
-    linearise: Callable[[Any, Any], Callable[[float], Any]],
-    *,
-    steps: int,
-    settled: float,
-    damping: float,
-    most_damping: float,
-) -> tuple[Any, Any]:
-    """Minimise a cost by Levenberg and Marquardt's method; return the state and what `evaluate` found there.
-
-    Parameters
-    ----------
-    state : to begin with.
-    evaluate : a state -> its cost, and what the next step needs of it.
-    linearise : a state, and that -> a function that takes a damping to the next state.
-    steps : at most.
-    settled : the end, once a step gains less than this share of the cost.
-    damping, most_damping : at the beginning, and beyond which no step is taken.
-    """
-    cost, found = evaluate(state)
-    for _ in range(steps):
-        move = linearise(state, found)
-        while damping < most_damping:
-            tried = move(damping)
-            tried_cost, tried_found = evaluate(tried)
-            if tried_cost < cost:
-                break
-            damping *= 5.0
-        else:
-            break
-        gained = cost - tried_cost
-        state, cost, found = tried, tried_cost, tried_found
-        damping = max(damping / 8.0, 1e-6)
-        if gained <= settled * abs(cost):
-            break
-    return state, found
 
 
 def fit_body_parameters(

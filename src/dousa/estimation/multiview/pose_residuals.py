@@ -266,12 +266,11 @@ def _add_world(
                  share * np.where(known, costs, 0.0).sum(axis=1))  # fmt: skip
 
 
-def angle_rest(body: BodyModel, rest: float = 0.8, trunk: float = 0.24) -> tuple[FloatArray, FloatArray]:
+def angle_rest(body: BodyModel, rest: float = 0.8, trunk: float = 0.48) -> tuple[FloatArray, FloatArray]:
     """Return neutral angles (A,), and the cost of a squared radian off them.
 
-    One sigma of a joint of stiffness 1 is the share ``rest`` of half its range, and of the trunk ``trunk`` rad, as in
-    recordings (lab/notes/estimation.md): hips and shoulders alone do not show how a bend is shared between hips and
-    back.
+    One sigma of a joint of stiffness 1 is the share ``rest`` of half its range, and of the trunk ``trunk`` rad: points
+    at hips and shoulders hardly show how a bend is shared between hips and back (lab/notes/estimation.md).
     """
     ease, cost = [], []
     for name, stiffness, limits, neutral, count in zip(
