@@ -18,8 +18,8 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_583, 117),
-    "estimation": (16_560, 69),
+    "app": (25_614, 117),
+    "estimation": (16_563, 69),
     "evaluation": (12_107, 46),
     "experiments": (1_705, 8),
     "files": (1_155, 8),
@@ -31,14 +31,14 @@ ROOMS = {
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 62_237,
+    "lines of tests": 62_245,
     "lines of JavaScript": 12_550,
-    "constants": 1_061,
-    "numeric constants without a source": 9,
-    "functions over 60 lines": 15,
+    "constants": 1_062,
+    "numeric constants without a source": 10,
+    "functions over 60 lines": 13,
     "files over 650 lines": 0,
     "folders with more than 15 files": 0,
-    "lines with words that a native reader stumbles over": 65,
+    "lines with words that a native reader stumbles over": 64,
     "hand-written runs of a mask": 3,
     "commands": 32,
     "options": 199,
