@@ -14,9 +14,19 @@ _NAME = "processor seconds"
 _SYSTEM = Path("/proc")
 
 
+def _has_children() -> bool:
+    """Whether a thread of this program has started one that still runs; most tests start none, and none is looked for."""
+    try:
+        return any((task / "children").read_bytes() for task in (_SYSTEM / "self/task").iterdir())
+    except OSError:  # another system, or a thread that has just ended
+        return True
+
+
 def _read_descendants() -> float:
     """Seconds of the programs below this one that still run, where the system shows them; browsers have many threads,
     so that each process is asked once who its parent is, and no thread which its children are."""
+    if not _has_children():
+        return 0.0
     parents, ticks = {}, {}
     for process in filter(str.isdigit, os.listdir(_SYSTEM) if _SYSTEM.is_dir() else ()):
         try:
@@ -63,7 +73,8 @@ class ProcessorTimes:
             return (yield)
         finally:
             before, self.read = self.read, _read_seconds()
-            item.user_properties.append((_NAME, self.read - before))
+            # What a browser has used is gone with it, at the end of the last test.
+            item.user_properties.append((_NAME, max(self.read - before, 0.0)))
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """The last report of a test has what it has cost; one that is run again has two, the latter being last."""

@@ -29,7 +29,11 @@ def test_there_is_one_for_each_method():
     assert [path.stem for path in EXAMPLES] == ["estimate", "evaluate", "search"]
 
 
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path",
+    [pytest.param(path, marks=[pytest.mark.slow] if path.stem == "estimate" else []) for path in EXAMPLES],
+    ids=lambda path: path.stem,
+)
 def test_it_runs_from_top_to_bottom(path, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(dousa.notebooks, "require", lambda package, extra: SimpleNamespace(DataFrame=dict))

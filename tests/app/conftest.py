@@ -9,7 +9,7 @@ from dousa.app.cli.main import main
 from dousa.messages import use_language
 from made_once import learn_labellers_once
 
-labellers_learned_once = pytest.fixture(learn_labellers_once, scope="package", autouse=True)
+labellers_learned_once = pytest.fixture(learn_labellers_once, scope="module", autouse=True)
 
 
 @pytest.fixture(scope="session")

@@ -150,7 +150,7 @@ def draw_hulls(view):
     return masks
 
 
-@pytest.mark.parametrize("form", ["one file", "folders"])
+@pytest.mark.parametrize("form", at_night("folders", "one file"))
 def test_masks_beside_keypoints_are_of_the_same_views(dousa, scene, written, form, tmp_path):
     masks = {name: draw_hulls(view) for name, view in scene[1].items()}
     if form == "one file":

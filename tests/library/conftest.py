@@ -121,7 +121,7 @@ def _databases_of_a_test(request: pytest.FixtureRequest) -> Iterator[None]:
     database_server.drop_below(folder)
 
 
-labellers_learned_once = pytest.fixture(learn_labellers_once, scope="package", autouse=True)
+labellers_learned_once = pytest.fixture(learn_labellers_once, scope="module", autouse=True)
 
 
 @pytest.fixture(scope="session")

@@ -1,6 +1,7 @@
 """Every code of the program has its words in both languages, with the same values; no words stand in the program."""
 
 import ast
+import re
 import string
 import tomllib
 from collections.abc import Iterator
@@ -139,9 +140,14 @@ def list_sources() -> list[Path]:
     return sorted([*SOURCE.rglob("*.py"), *(ROOT / "lab").rglob("*.py")])
 
 
+HOLDS_CALL = re.compile(rf"\b(?:{'|'.join(sorted(ERRORS | SPEAKERS | {'Message'}))})\(")
+
+
 def list_calls(path: Path) -> Iterator[Call]:
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    for node, constants in walk_calls(tree, {}):
+    text = path.read_text(encoding="utf-8")
+    if not HOLDS_CALL.search(text):
+        return
+    for node, constants in walk_calls(ast.parse(text), {}):
         name = getattr(node.func, "id", getattr(node.func, "attr", ""))
         position = 1 if name in FILE_ERRORS | SPEAKERS else 0
         if name not in ERRORS | SPEAKERS | {"Message"} or len(node.args) <= position:

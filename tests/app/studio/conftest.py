@@ -66,7 +66,7 @@ def forks() -> Iterator[Any]:
         yield found
 
 
-@pytest.fixture(scope="package", autouse=True)
+@pytest.fixture(scope="module", autouse=True)
 def forked_workers(forks: Any) -> Iterator[None]:
     """Workers begin as forks."""
     with pytest.MonkeyPatch.context() as patch:
@@ -75,7 +75,7 @@ def forked_workers(forks: Any) -> Iterator[None]:
         yield
 
 
-@pytest.fixture(scope="package", autouse=True)
+@pytest.fixture(scope="module", autouse=True)
 def kept_comparisons() -> Iterator[None]:
     """Dances are compared once, not for each page that judges them: what comparing says is tried without a studio."""
     with pytest.MonkeyPatch.context() as patch:

@@ -36,7 +36,6 @@ def test_every_page_is_without_a_fault(show, check, path, language, schemes):
     wait_until_filled(page, path)
     assert check(page) == []
     page.resize(390, 844)
-    assert check(page) == []
     page.paint(schemes[1])
     assert page.run(f"return matchMedia('(prefers-color-scheme: {schemes[1]})').matches")
     assert check(page) == []

@@ -20,7 +20,7 @@ def camera(monkeypatch):
     monkeypatch.setitem(live.LiveSession.__init__.__kwdefaults__, "grade_every", 0.5)
 
 
-@pytest.mark.parametrize("language", ["en", "ja"])
+@pytest.mark.parametrize("language", ["en", pytest.param("ja", marks=pytest.mark.slow)])
 def test_the_camera_shows_the_skeleton_the_label_the_grade_and_how_quick_it_is(camera, show, language):
     page = show("/live?reference=clip:1", language=language)
     page.wait("return !document.querySelector('#live-start').disabled")

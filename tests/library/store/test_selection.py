@@ -11,15 +11,26 @@ from dousa.motion.synthetic.performers import draw_performer, make_motion
 NAMES = ("/a/b/one", "/a/b/two", "/a/bc/three", "/a/B/four", "/a/b_/five", "/a/bx/six", "/a/%/seven", "八/九", "plain")
 
 
-@pytest.fixture
-def named(tmp_path):
+def open_named(folder):
     """Motions whose names are paths that are easily taken for one another."""
-    with Library.open(tmp_path / "named.dousa", create=True) as library:
+    with Library.open(folder / "named.dousa", create=True) as library:
         for number, name in enumerate(NAMES):
             motion = canonicalise(compute_trajectories(make_motion("walk", draw_performer(number))))
             library.add_motion(motion, name, ("x", "y")[number % 2], performer="ann" if number < 4 else None)
         library.tag([1, 5], add=["good"])
         yield library
+
+
+@pytest.fixture(scope="module")
+def named(tmp_path_factory):
+    """Such a library for all tests that change nothing."""
+    yield from open_named(tmp_path_factory.mktemp("named"))
+
+
+@pytest.fixture
+def own_named(tmp_path):
+    """One for a test that does."""
+    yield from open_named(tmp_path)
 
 
 def test_going_through_all_is_listing_all(named, monkeypatch):
@@ -40,13 +51,13 @@ def test_going_through_all_is_listing_all(named, monkeypatch):
     assert [clip.tags for clip in named.iterate_clips(category="x")] == [("good",), (), ("good",), (), ()]
 
 
-def test_clips_that_go_meanwhile_are_left_out(named, monkeypatch):
+def test_clips_that_go_meanwhile_are_left_out(own_named, monkeypatch):
     monkeypatch.setitem(selection.read_page.__kwdefaults__, "most", 2)
     found = []
-    for clip in named.iterate_clips():
+    for clip in own_named.iterate_clips():
         found.append(clip.id)
         if clip.id == 2:
-            named.remove([3, 4])
+            own_named.remove([3, 4])
     assert found == [1, 2, 5, 6, 7, 8, 9]
 
 
