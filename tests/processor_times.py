@@ -15,7 +15,7 @@ _SYSTEM = Path("/proc")
 
 
 def _has_children() -> bool:
-    """Whether a thread of this program has started one that still runs; most tests start none, and none is looked for."""
+    """Whether a thread of this program has started one that still runs: most tests start none."""
     try:
         return any((task / "children").read_bytes() for task in (_SYSTEM / "self/task").iterdir())
     except OSError:  # another system, or a thread that has just ended
