@@ -186,14 +186,27 @@ def unwrap_euler(angles: ArrayLike) -> FloatArray:
     whole turns included.
     """
     a = np.array(angles, np.float64)
+    if len(a) < 2:
+        return a
     turn = 2 * np.pi
-    for t in range(1, len(a)):
-        before = np.where(np.isnan(a[t - 1]), a[t], a[t - 1])
-        other = np.stack((a[t, ..., 0] + np.pi, np.pi - a[t, ..., 1], a[t, ..., 2] + np.pi), axis=-1)
-        near = a[t] - turn * np.round((a[t] - before) / turn)
-        far = other - turn * np.round((other - before) / turn)
-        swap = np.abs(far - before).sum(-1) < np.abs(near - before).sum(-1) - 1e-9
-        a[t] = np.where(swap[..., None], far, near)
+    other = np.stack((a[..., 0] + np.pi, np.pi - a[..., 1], a[..., 2] + np.pi), axis=-1)
+
+    def measure(away: FloatArray) -> FloatArray:
+        return np.asarray(np.abs(away - turn * np.round(away / turn)).sum(-1))
+
+    # It is as far from one way of writing to the other as back; where neither is nearer, the given one stands.
+    same, across = measure(a[1:] - a[:-1]), measure(other[1:] - a[:-1])
+    changes = across < same - 1e-9
+    count = np.cumsum(changes, axis=0)
+    before = np.maximum.accumulate(np.where(changes | (same < across - 1e-9), 0, count), axis=0)
+    a[1:] = np.where(((count - before) % 2 == 1)[..., None], other[1:], a[1:])
+    turns = np.round(np.diff(a, axis=0) / turn)
+    total = np.cumsum(np.nan_to_num(turns), axis=0)
+    # After a gap the count of whole turns begins anew.
+    frames = np.arange(len(total)).reshape(-1, *[1] * (a.ndim - 1))
+    gap = np.maximum.accumulate(np.where(np.isnan(turns), frames, -1), axis=0)
+    since = np.where(gap < 0, 0.0, np.take_along_axis(total, np.maximum(gap, 0), axis=0))
+    a[1:] -= turn * (total - since)
     return a
 
 

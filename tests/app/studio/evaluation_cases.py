@@ -1,34 +1,27 @@
 """A dance for the tests of the evaluation page: takes of a teacher, and a pupil who makes known errors."""
 
-import functools
 import hashlib
 import pickle
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-_TAKES = 3
-_MOST = 20
-
-
-class _Call:
-    """The arguments of a call; two are equal where their bytes are."""
-
-    def __init__(self, words: tuple[Any, ...], named: dict[str, Any]) -> None:
-        self.words, self.named = words, named
-        self.digest = hashlib.sha256(pickle.dumps((words, named))).digest()
-
-    def __hash__(self) -> int:
-        return hash(self.digest)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Call) and self.digest == other.digest
+_TAKES, _MOST = 3, 20
 
 
 def keep(work: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the function with its last answers kept: tests of pages judge the same dances."""
-    answer = functools.lru_cache(_MOST)(lambda call: work(*call.words, **call.named))
-    return lambda *words, **named: answer(_Call(words, named))
+    """Return the function with its last answers kept, by the bytes of what is asked: pages judge the same dances."""
+    answers: dict[bytes, Any] = {}
+
+    def recall(*words: Any, **named: Any) -> Any:
+        asked = hashlib.sha256(pickle.dumps((words, named))).digest()
+        if asked not in answers:
+            if len(answers) >= _MOST:
+                del answers[next(iter(answers))]
+            answers[asked] = work(*words, **named)
+        return answers[asked]
+
+    return recall
 
 
 def write_dances(folder: Path) -> tuple[list[Path], Path]:
