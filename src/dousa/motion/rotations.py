@@ -186,8 +186,6 @@ def unwrap_euler(angles: ArrayLike) -> FloatArray:
     whole turns included.
     """
     a = np.array(angles, np.float64)
-    if len(a) < 2:
-        return a
     turn = 2 * np.pi
     other = np.stack((a[..., 0] + np.pi, np.pi - a[..., 1], a[..., 2] + np.pi), axis=-1)
 
@@ -199,14 +197,8 @@ def unwrap_euler(angles: ArrayLike) -> FloatArray:
     changes = across < same - 1e-9
     count = np.cumsum(changes, axis=0)
     before = np.maximum.accumulate(np.where(changes | (same < across - 1e-9), 0, count), axis=0)
-    a[1:] = np.where(((count - before) % 2 == 1)[..., None], other[1:], a[1:])
-    turns = np.round(np.diff(a, axis=0) / turn)
-    total = np.cumsum(np.nan_to_num(turns), axis=0)
-    # After a gap the count of whole turns begins anew.
-    frames = np.arange(len(total)).reshape(-1, *[1] * (a.ndim - 1))
-    gap = np.maximum.accumulate(np.where(np.isnan(turns), frames, -1), axis=0)
-    since = np.where(gap < 0, 0.0, np.take_along_axis(total, np.maximum(gap, 0), axis=0))
-    a[1:] -= turn * (total - since)
+    a[1:] = np.where(np.expand_dims((count - before) % 2 == 1, -1), other[1:], a[1:])
+    a[1:] -= turn * np.cumsum(np.nan_to_num(np.round(np.diff(a, axis=0) / turn)), axis=0)
     return a
 
 
