@@ -26,12 +26,12 @@ ROOMS = {
     "formats": (13_289, 69),
     "library": (15_669, 56),
     "messages": (235, 3),
-    "motion": (6_507, 34),
+    "motion": (6_509, 34),
     "retrieval": (12_912, 47),
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 62_245,
+    "lines of tests": 62_306,
     "lines of JavaScript": 12_550,
     "constants": 1_062,
     "numeric constants without a source": 10,

@@ -188,12 +188,9 @@ def unwrap_euler(angles: ArrayLike) -> FloatArray:
     a = np.array(angles, np.float64)
     turn = 2 * np.pi
     other = np.stack((a[..., 0] + np.pi, np.pi - a[..., 1], a[..., 2] + np.pi), axis=-1)
-
-    def measure(away: FloatArray) -> FloatArray:
-        return np.asarray(np.abs(away - turn * np.round(away / turn)).sum(-1))
-
     # It is as far from one way of writing to the other as back; where neither is nearer, the given one stands.
-    same, across = measure(a[1:] - a[:-1]), measure(other[1:] - a[:-1])
+    away = np.stack((a, other))[:, 1:] - a[:-1]
+    same, across = np.abs(away - turn * np.round(away / turn)).sum(-1)
     changes = across < same - 1e-9
     count = np.cumsum(changes, axis=0)
     before = np.maximum.accumulate(np.where(changes | (same < across - 1e-9), 0, count), axis=0)
