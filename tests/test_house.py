@@ -24,14 +24,14 @@ ROOMS = {
     "experiments": (1_705, 8),
     "files": (1_155, 8),
     "formats": (13_289, 69),
-    "library": (15_669, 56),
+    "library": (15_663, 56),
     "messages": (235, 3),
     "motion": (6_509, 34),
-    "retrieval": (12_912, 47),
+    "retrieval": (12_897, 47),
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 62_306,
+    "lines of tests": 62_313,
     "lines of JavaScript": 12_550,
     "constants": 1_062,
     "numeric constants without a source": 10,

@@ -205,6 +205,13 @@ def test_a_mistaken_add_leaves_no_library(dousa, motions, tmp_path, words):
     assert list(tmp_path.iterdir()) == [damaged]
 
 
+def test_training_tells_people_for_categories(dousa, succeed, motions, tmp_path):
+    library, people = tmp_path / "moves.dousa", r"name:(p\d)"
+    succeed("add", library, motions, "--category-from", people, "--performer-from", people)
+    code, _, err = dousa("train", library, "--trees", 5)
+    assert code == 0 and "no category is done by two people" in " ".join(err.split())
+
+
 def test_add_train_search_classify(dousa, succeed, motions, tmp_path):
     library = tmp_path / "moves.dousa"
     out, _ = succeed("add", library, motions, "--performer-from", r"name:(p\d)", "--json")

@@ -23,7 +23,6 @@ from dousa.library.store.engine import Database, next_clip_id, next_revision, no
 from dousa.library.store.features import ClipFeatures, keep_features, lacks, load_features, save_descriptions
 from dousa.library.store.forests import (
     MOST_COPIES,
-    HeldBack,
     StoredForest,
     TreeAnswers,
     ask_trees,
@@ -173,21 +172,16 @@ def _learn(
     fit_forest(forest, clips, labelled, kind, disturbed)
     tell(2, Message("library_training.calibrating"))
     held = hold_back(clips, labelled)
-    learner = make_likeness_learner(held, kind)
+    means = find_meanings(set(held.categories.tolist()))  # categories of one meaning count as the same
+    meanings = np.array([means[label] for label in held.categories.tolist()], dtype=np.str_)
+    people = np.array(held.performers, dtype=np.str_)
+    learner = LikenessLearner(held.features, held.categories, meanings, people, kind)
     assessor = learn_unknown(forest, held, kind, disturbed, learner.watch)
     likeness = None if assessor is None else learner.finish()
     names = tuple(str(name) for name in forest.classes_)
     stored = StoredForest(forest, names, kind.name, grid, assessor, 0, 0, likeness, following)
     known = replace(clips, features=np.empty((0, *clips.features.shape[1:]), np.float32), room=None)
     return stored, _Answers(seen, known, ask_trees(stored, clips.features), {}), counts
-
-
-def make_likeness_learner(held: HeldBack, kind: FeatureSet) -> LikenessLearner:
-    """Make the learner of likeness, which watches the calibration; categories of one meaning count as the same."""
-    means = find_meanings(set(held.categories.tolist()))
-    meanings = np.array([means[label] for label in held.categories.tolist()], dtype=np.str_)
-    performers = np.array(held.performers, dtype=np.str_)
-    return LikenessLearner(held.features, held.categories, meanings, performers, kind)
 
 
 def _store(database: Database, stored: StoredForest, answers: _Answers, labeller: TakeLabeller | None) -> StoredForest:

@@ -192,11 +192,7 @@ class FeatureSet:
         """
         if not self.has_banks:
             return self.blank(compute_clip_features(self.complete(motion), self.n_frames, samples_per_frame))
-        return self.compute_quiet(reduce_noise(motion))
-
-    def compute_quiet(self, motion: PosedMotion) -> FloatArray:
-        """Compute the features (T, F) of a clip with reduced noise, for a set with banks; else as ``compute``."""
-        cells: FloatArray = self.compute_quiet_all([motion])[0]
+        cells: FloatArray = self.compute_quiet_all([reduce_noise(motion)])[0]
         return cells
 
     def compute_quiet_all(self, motions: Sequence[PosedMotion]) -> FloatArray:

@@ -481,7 +481,8 @@ def label_take(
         image = PlainMotion(mirror_positions(points), motion.frame_rate, motion.height)
         chosen = lay_mirrored(chosen, weigh_chosen(labeller, possible, image, judge, n_jobs), SHORT_GAP)
     chosen = count_all(chosen, sampled, labeller.phases)
-    limit = usual_threshold(labeller, judge) if threshold is None else threshold
+    usual = labeller.threshold if judge is None else _EVEN
+    limit = usual if threshold is None else threshold
     said = [one.likely if threshold is None else one.confidence >= threshold for one in chosen]
     return make_timeline(chosen, said, labeller.classes, len(points) / motion.frame_rate, limit)
 
@@ -490,11 +491,6 @@ def check_threshold(threshold: float | None) -> None:
     """Raise OptionError for a probability outside 0 to 1."""
     if threshold is not None and not 0 <= threshold <= 1:
         raise OptionError("labeller.threshold", found=threshold)
-
-
-def usual_threshold(labeller: TakeLabeller, judge: StretchJudge | None) -> float:
-    """Return the default least confidence of a category."""
-    return labeller.threshold if judge is None else _EVEN
 
 
 def make_timeline(

@@ -496,7 +496,9 @@ def teach_labeller(
     )
     taught = {classes.index(name) for _, name in shown}
     held = labeller.held[[state // N_PHASES not in taught for state in labeller.held_states.tolist()]]
-    scale, model = labeller.model.scale, _widen(labeller.model, N_PHASES * len(new))
+    scale, weights = labeller.model.scale, labeller.model.weights
+    wider = np.insert(weights, [weights.shape[1] - 1] * (N_PHASES * len(new)), 0.0, axis=1)
+    model = replace(labeller.model, weights=wider)
     own = scale.standardise(np.concatenate([codes[part] for (codes, _), part in zip(shown, parts, strict=True)]))
     seen = np.concatenate([scale.standardise(held), own])
     missing = np.zeros((len(seen), model.weights.shape[1]), np.float32)
@@ -508,11 +510,6 @@ def teach_labeller(
     sequence = labeller.sequence.with_lengths(lengths) if new else labeller.sequence
     model = replace(model, weights=model.weights + added)
     return replace(labeller, classes=classes, sequence=sequence, model=model)
-
-
-def _widen(model: MomentModel, count: int) -> MomentModel:
-    weights = model.weights
-    return replace(model, weights=np.insert(weights, [weights.shape[1] - 1] * count, 0.0, axis=1))
 
 
 def _describe_example(labeller: TakeLabeller, motion: PosedMotion, n_copies: int) -> list[Codes]:

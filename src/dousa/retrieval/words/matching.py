@@ -352,7 +352,8 @@ class WordColumns:
     def __init__(self, motions: Sequence[MotionWords]) -> None:
         self.motions = tuple(motions)
         self._categories, self._category_of = _number([one.category for one in motions])
-        meant = {unit: _keep_meant(unit) for unit in {one.name for one in motions}}
+        named = {one.name for one in motions}
+        meant = {unit: Unit(tuple(word for word in unit.words if word.meanings), 0.0) for unit in named}
         self._names, self._name_of = _number([meant[one.name] for one in motions])
         spelled: dict[str, list[int]] = {}
         for row, one in enumerate(motions):
@@ -432,11 +433,6 @@ def _number(units: Sequence[Unit]) -> tuple[list[Unit], IndexArray]:
     objects = {id(unit): unit for unit in units}
     known = {key: places.setdefault(unit, len(places)) for key, unit in objects.items()}
     return list(places), np.array([known[id(unit)] for unit in units], np.intp)
-
-
-def _keep_meant(unit: Unit) -> Unit:
-    words = tuple(word for word in unit.words if word.meanings)
-    return Unit(words, 0.0)
 
 
 def _compare(matcher: Matcher, units: Sequence[Unit], n_slots: int) -> tuple[FloatArray, NDArray[np.bool_]]:
