@@ -126,10 +126,10 @@ def read_mvnx(
             path, "mvnx", names, positions, clock, unit=unit, up=up, declared_unit=1.0, declared_up="z", default_up="z",
             notes=(*notes, Message("mvnx.no_orientation")),
         )  # fmt: skip
-    world = _read_values(path, taken, "orientation", len(names), 4)
     order, parents, more = _order_segments(path, subject, names)
     notes += more
-    world = normalise(world[:, order])
+    world = _read_values(path, taken, "orientation", len(names), 4)[:, order]
+    world = normalise(world)
     rest = [frame for frame in frames if frame.get("type") == "identity" and _has(frame, "position")][:1]
     resting = _read_values(path, rest, "position", len(names), 3)[0] if rest else None
     if positions is None:
