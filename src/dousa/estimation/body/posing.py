@@ -100,7 +100,7 @@ def solve_pose(
         return float(residuals @ residuals), residuals
 
     def linearise(pose: FloatArray, residuals: FloatArray) -> Callable[[float], FloatArray]:
-        steps = np.eye(6 + body.n_angles) * difference
+        steps: FloatArray = np.eye(6 + body.n_angles) * difference
         slope = (compute(step_poses(pose[None].repeat(len(steps), axis=0), steps)) - residuals).T / difference
         square, gradient = slope.T @ slope, slope.T @ residuals
         scale = np.diag(np.diag(square) + 1e-6)
