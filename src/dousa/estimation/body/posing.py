@@ -100,11 +100,16 @@ def solve_pose(
         return float(residuals @ residuals), residuals
 
     def linearise(pose: FloatArray, residuals: FloatArray) -> Callable[[float], FloatArray]:
-        steps: FloatArray = np.eye(6 + body.n_angles) * difference
+        steps = np.eye(6 + body.n_angles) * difference
         slope = (compute(step_poses(pose[None].repeat(len(steps), axis=0), steps)) - residuals).T / difference
         square, gradient = slope.T @ slope, slope.T @ residuals
         scale = np.diag(np.diag(square) + 1e-6)
-        return lambda damping: step_poses(pose[None], -np.linalg.solve(square + damping * scale, gradient)[None])[0]
+
+        def move(damping: float) -> FloatArray:
+            step: FloatArray = np.linalg.solve(square + damping * scale, -gradient)
+            return step_poses(pose[None], step[None])[0]
+
+        return move
 
     pose, residuals = minimise(
         start.copy(), evaluate, linearise, steps=60, settled=1e-7, damping=1e-3, most_damping=1e6
