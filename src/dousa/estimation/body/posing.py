@@ -106,8 +106,9 @@ def solve_pose(
         scale = np.diag(np.diag(square) + 1e-6)
 
         def move(damping: float) -> FloatArray:
-            step: FloatArray = np.linalg.solve(square + damping * scale, -gradient)
-            return step_poses(pose[None], step[None])[0]
+            step = np.linalg.solve(square + damping * scale, -gradient)
+            tried: FloatArray = step_poses(pose[None], np.asarray(step[None], np.float64))[0]
+            return tried
 
         return move
 
