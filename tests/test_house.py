@@ -19,7 +19,7 @@ SOURCE = ROOT / "src" / "dousa"
 # Lines and files of each room, stubs included.
 ROOMS = {
     "app": (25_614, 117),
-    "estimation": (16_569, 69),
+    "estimation": (16_570, 69),
     "evaluation": (12_107, 46),
     "experiments": (1_705, 8),
     "files": (1_155, 8),
@@ -34,7 +34,7 @@ TOTALS = {
     "lines of tests": 62_313,
     "lines of JavaScript": 12_550,
     "constants": 1_062,
-    "numeric constants without a source": 10,
+    "numeric constants without a source": 6,
     "functions over 60 lines": 13,
     "files over 650 lines": 0,
     "folders with more than 15 files": 0,

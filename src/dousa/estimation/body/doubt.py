@@ -40,7 +40,8 @@ SAID: dict[tuple[Cue, int], float] = {
 
 SAID_MISFIT = 0.026
 """m, root mean square of the misfit from which a frame of one view's keypoints is lost, where no other sign tells the
-frames of people left out: 5 % of the good frames exceed it in at most a tenth of the draws of as many films."""
+frames of people left out, measured by lab.training.train_doubt: 5 % of the good frames exceed it in at most a tenth of
+the draws of as many films."""
 
 
 class Doubt(NamedTuple):

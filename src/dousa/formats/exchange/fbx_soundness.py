@@ -23,10 +23,10 @@ _PLAIN = ("Model", "AnimationCurveNode")
 _PARTS = ("AnimationCurve KeyTime", "AnimationCurve KeyValueFloat", *(f"{kind} Properties70" for kind in _PLAIN))
 _DAY = 24 * 3600 * 46_186_158_000.0  # of the ticks of FBX, by the definition of its SDK
 _END = bytes.fromhex("f85a8c6adef5d97eece90ce3758f290b")
-_VERSIONS = (6100, 7999)  # those of which programs write binary files, times 1000 (reference)
-# Bytes of a number, and of an item of an array, by the letter of their type (reference).
+_VERSIONS = (6100, 7999)  # those of which programs write binary files, times 1000, by the specification
+# Bytes of a number, and of an item of an array, by the letter of their type, by the specification.
 _NUMBERS = dict(zip(b"YCIFDLB", (2, 1, 4, 4, 8, 8, 1), strict=True))
-_ITEMS = dict(zip(b"fdlibc", (4, 8, 8, 4, 1, 1), strict=True))
+_ITEMS = dict(zip(b"fdlibc", (4, 8, 8, 4, 1, 1), strict=True))  # by the specification
 
 
 def check_fbx(path: str | os.PathLike[str], data: bytes) -> tuple[Message, ...]:
