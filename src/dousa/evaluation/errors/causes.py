@@ -25,7 +25,6 @@ from dousa.motion.runs import find_runs
 
 # s, rad: a smaller error is not worth saying, see docs/evaluation.md
 _USEFUL_LAG_S, _USEFUL_ANGLE = 0.08, np.radians(10.0)
-_CLEAR = 1.5  # multiple of what is tolerated: measured in lab/notes/evaluation.md, on people and a generator left out
 
 _EDGE_BETWEEN, _MOSTLY = 0.5, 0.8  # of the lag between two shifts that are one; of the moments there
 _LEFT_OVER = 1.0 / 3.0  # of the deviation, that a cause may leave; measured in lab/trials/causes.py
@@ -65,8 +64,6 @@ def _is_posture(evidence: Evidence, one: Finding, *, edge_s: float = 0.35, idle:
 def _is_useful(evidence: Evidence, one: Finding, time_spread: FloatArray, *, by_spread: float = 2.0) -> bool:
     """Whether an error is as large as is worth saying, and beyond all takes of the reference in one direction."""
     # by_spread: multiple of the takes' mean difference in time, as `choose_tolerance` has it for angles
-    if one.lag_s is None and one.severity < _CLEAR:
-        return False
     span = slice(one.start, one.end)
     if one.lag_s is not None and abs(one.lag_s) < _USEFUL_LAG_S + by_spread * float(np.median(time_spread[span])):
         return False
