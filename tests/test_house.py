@@ -18,24 +18,24 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_614, 117),
-    "estimation": (16_570, 69),
-    "evaluation": (12_107, 46),
+    "app": (25_613, 117),
+    "estimation": (16_584, 69),
+    "evaluation": (12_104, 46),
     "experiments": (1_705, 8),
     "files": (1_155, 8),
-    "formats": (13_289, 69),
+    "formats": (13_292, 69),
     "library": (15_663, 56),
     "messages": (235, 3),
-    "motion": (6_509, 34),
-    "retrieval": (12_897, 47),
+    "motion": (6_507, 34),
+    "retrieval": (12_898, 47),
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 62_313,
+    "lines of tests": 62_275,
     "lines of JavaScript": 12_550,
-    "constants": 1_062,
+    "constants": 1_061,
     "numeric constants without a source": 6,
-    "functions over 60 lines": 13,
+    "functions over 60 lines": 14,
     "files over 650 lines": 0,
     "folders with more than 15 files": 0,
     "lines with words that a native reader stumbles over": 64,

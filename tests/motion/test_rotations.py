@@ -120,33 +120,6 @@ def test_unwrap_keeps_rotations_and_removes_jumps(order):
     assert np.abs(np.diff(unwrapped, axis=0)).max() < 0.5
 
 
-def unwrap_by_frames(angles):
-    """Each frame the nearer of both ways to write it, whole turns included."""
-    a, turn = angles.copy(), 2 * np.pi
-    for t in range(1, len(a)):
-        before = a[t - 1]
-        other = np.stack((a[t, ..., 0] + np.pi, np.pi - a[t, ..., 1], a[t, ..., 2] + np.pi), axis=-1)
-        near, far = (way - turn * np.round((way - before) / turn) for way in (a[t], other))
-        swap = np.abs(far - before).sum(-1) < np.abs(near - before).sum(-1) - 1e-9
-        a[t] = np.where(swap[..., None], far, near)
-    return a
-
-
-@given(st.integers(0, 10_000), st.sampled_from([0.3, 2.0, 9.0]), st.integers(1, 40))
-def test_angles_are_unwrapped_as_frame_by_frame(seed, step, n_frames):
-    rng = np.random.default_rng(seed)
-    angles = np.cumsum(rng.normal(0.0, step, (n_frames, 4, 3)), axis=0)
-    angles = r.to_euler(r.from_euler(angles, "ZXY"), "ZXY")
-    angles[rng.random((n_frames, 4)) < 0.1] = 0.0
-    np.testing.assert_allclose(r.unwrap_euler(angles), unwrap_by_frames(angles), atol=1e-12)
-    lost = rng.random((n_frames, 4)) < 0.1
-    angles[lost] = np.nan
-    found = r.unwrap_euler(angles)
-    assert np.isnan(found[lost]).all() and same_rotation(
-        r.from_euler(found, "XYZ")[~lost], r.from_euler(angles, "XYZ")[~lost]
-    )
-
-
 def test_nan_stays_in_its_place():
     q = QUATERNIONS[0].copy()
     q[3] = np.nan

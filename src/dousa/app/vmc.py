@@ -108,8 +108,9 @@ class VmcSender:
         self._thread.start()
 
     def push(self, points: FloatArray) -> None:
-        """Take the next pose (20, 3), m, Y up."""
-        self._newest = time.monotonic(), find_pose(points)
+        """Take the next pose (20, 3), m, Y up; one that is not whole is left out."""
+        if np.isfinite(points).all():
+            self._newest = time.monotonic(), find_pose(points)
 
     def end(self) -> None:
         """Stop to send."""

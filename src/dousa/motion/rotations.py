@@ -187,15 +187,13 @@ def unwrap_euler(angles: ArrayLike) -> FloatArray:
     """
     a = np.array(angles, np.float64)
     turn = 2 * np.pi
-    other = np.stack((a[..., 0] + np.pi, np.pi - a[..., 1], a[..., 2] + np.pi), axis=-1)
-    # It is as far from one way of writing to the other as back; where neither is nearer, the given one stands.
-    away = np.stack((a, other))[:, 1:] - a[:-1]
-    same, across = np.abs(away - turn * np.round(away / turn)).sum(-1)
-    changes = across < same - 1e-9
-    count = np.cumsum(changes, axis=0)
-    before = np.maximum.accumulate(np.where(changes | (same < across - 1e-9), 0, count), axis=0)
-    a[1:] = np.where(np.expand_dims((count - before) % 2 == 1, -1), other[1:], a[1:])
-    a[1:] -= turn * np.cumsum(np.nan_to_num(np.round(np.diff(a, axis=0) / turn)), axis=0)
+    for t in range(1, len(a)):
+        before = np.where(np.isnan(a[t - 1]), a[t], a[t - 1])
+        other = np.stack((a[t, ..., 0] + np.pi, np.pi - a[t, ..., 1], a[t, ..., 2] + np.pi), axis=-1)
+        near = a[t] - turn * np.round((a[t] - before) / turn)
+        far = other - turn * np.round((other - before) / turn)
+        swap = np.abs(far - before).sum(-1) < np.abs(near - before).sum(-1) - 1e-9
+        a[t] = np.where(swap[..., None], far, near)
     return a
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from dousa.app.studio import Settings, create_app
-from dousa.app.studio.core.workspace import Workspace, safe_parts
+from dousa.app.studio.core.workspace import safe_parts
 from dousa.errors import DousaError
 
 GOOD = b"HIERARCHY\nROOT Hips\n"
@@ -227,14 +227,3 @@ def test_safe_parts_refuses_or_stays_below():
         assert all(part not in ("", ".", "..") for part in parts)
 
     check()
-
-
-def test_what_earlier_studios_could_make_again_goes_and_work_by_hand_stays(tmp_path):
-    workspace = Workspace(tmp_path)
-    for name in ("thumbnails.sqlite", "map.npz", "corrections.json"):
-        (tmp_path / name).touch()
-    workspace.hold()
-    workspace.release()
-    assert {path.name for path in tmp_path.iterdir()} & {"thumbnails.sqlite", "map.npz", "corrections.json"} == {
-        "corrections.json"
-    }

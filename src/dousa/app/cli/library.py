@@ -91,7 +91,7 @@ def choose_clips(
             raise LibraryError("library_clips.none_of_text", library=library.name, text=text)
         chosen = found
     if like is not None:
-        chosen = _keep_named(library, _find_like(library, like), chosen)
+        chosen = _find_like(library, like, [clip.id for clip in library.clips(chosen, **labels)])
         if not chosen:
             raise LibraryError("library_clips.none_like", library=library.name, query=like)
     return chosen, labels
@@ -102,12 +102,12 @@ def _keep_named(library: Library, found: list[int], named: list[int | str]) -> l
     return [number for number in found if number in among]
 
 
-def _find_like(library: Library, query: str) -> list[int]:
+def _find_like(library: Library, query: str, among: list[int]) -> list[int | str]:
     """The clips that mean the same as a motion; the most similar ones where the library has not learned that."""
     wanted = clip_or_path(query)
-    found = library.search(wanted)
+    found = library.search(wanted, among=among)
     if (count := found.alike_count or 0) > len(found.results):
-        found = library.search(wanted, count)
+        found = library.search(wanted, count, among=among)
     return [hit.clip_id for hit in found.results if hit.alike is not False]
 
 

@@ -271,6 +271,7 @@ def _find_body(
     exact = free and not lie_beside_joints(names)
     groups = tuple(group for group in SHIFTS if group in place_landmarks(given, names).groups
                    and not (exact and group in JOINTS))  # fmt: skip
+    n_views = int(terms.seen.seen.any(axis=(1, 2)).sum())  # that show the person
     usual, n_sizes = given.stature, 1 + len(_MEASURES)
 
     def measure(values: FloatArray) -> dict[str, float]:
@@ -283,21 +284,26 @@ def _find_body(
         body = make_human(usual * float(np.exp(values[0])), sex, measure(values))
         return _move_joints(body, values[n_sizes:].reshape(-1, 3)) if exact else body
 
-    first = _GIVEN_SIGMA if stature is not None or len(terms.cameras) == 1 else _STATURE_SIGMA
+    first = _GIVEN_SIGMA if stature is not None or n_views == 1 else _STATURE_SIGMA
     moves = [SHIFTS[group] for group in _MOVED for _ in range(3)] if exact else []
     sigmas = np.array([first, *[_MEASURE_SIGMA] * len(_MEASURES), *moves]) if free else np.zeros(0)
     few = replace(terms.cut(chosen), frame_rate=rate)
     parameters = BodyParameters(build, lambda own: place_landmarks(own, names), sigmas, groups)
     fitted = fit_body_parameters(parameters, poses[chosen], few)
-    if exact and len(terms.cameras) > 1:
+    if exact and n_views > 1:
         fitted = replace(fitted, landmarks=_find_precision(fitted, few))
     if not free:
         return fitted.body, fitted.landmarks, {}
-    lengths = _find_spreads(lambda values: {"stature": _stand(*parameters.make(values)), **measure(values)}, fitted)
+
+    def state(values: FloatArray) -> dict[str, float]:
+        own, landmarks = parameters.make(values)
+        return {"stature": _stand(own, landmarks), **measure(values), **(_measure_joints(own) if exact else {})}
+
+    lengths = _find_spreads(state, fitted)
     lengths = {
         name: (value, float(np.hypot(spread, _BUILD_SIGMA * value))) for name, (value, spread) in lengths.items()
     }
-    if len(terms.cameras) > 1 and stature is None:
+    if n_views > 1 and stature is None:
         return replace(fitted.body, stature=lengths["stature"][0]), fitted.landmarks, lengths
     sigma = _STATURE_SIGMA if stature is None else 0.0  # one view does not show how large anything is
     lengths["stature"] = (usual, 0.0)
@@ -326,6 +332,14 @@ def _move_joints(body: BodyModel, moves: FloatArray | None = None) -> BodyModel:
         for side, mirror in (("left_", 1.0), ("right_", -1.0)):
             offsets[body.names.index(side + part)] += (body.stature * np.array(usual) + move) * (mirror, 1.0, 1.0)
     return replace(body, offsets=offsets)
+
+
+def _measure_joints(body: BodyModel) -> dict[str, float]:
+    """Return the measures in m that `_move_joints` changes."""
+    at = dict(zip(body.names, body.offsets, strict=True))
+    hip = at["left_thigh"]
+    trunk = at["trunk"][1] + at["head"][1] - hip[1]
+    return {"trunk": trunk, "hip_breadth": 2.0 * hip[0], "shoulder_breadth": 2.0 * at["left_upper_arm"][0]}
 
 
 def _find_spreads(

@@ -15,6 +15,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from dousa.errors import MotionFileError
+from dousa.formats.guard.sizes import check_memory
 from dousa.messages import Message
 
 MAGIC = b"Kaydara FBX Binary  \0\x1a\0"
@@ -87,9 +88,9 @@ def _is_strange(kind: str, words: list[str], usual: dict[str, set[str]], is_shar
 
 
 def _check_times(path: str | os.PathLike[str], data: bytes) -> None:
-    """MotionFileError for times that do not rise, or over a day, in which converters would make keys without end."""
+    """MotionFileError for times that fall, or over a day, in which converters would make keys without end."""
     times = np.frombuffer(data[: len(data) // 8 * 8], "<i8").astype(np.float64)
-    if not (np.diff(times) > 0).all() or (len(times) and not times[-1] - times[0] < _DAY):
+    if not (np.diff(times) >= 0).all() or (len(times) and not times[-1] - times[0] < _DAY):
         raise MotionFileError(path, "exchange.fbx_times")
 
 
@@ -122,7 +123,7 @@ def _walk(path: str | os.PathLike[str], data: bytes, *, wide: bool) -> Iterator[
         stop, name = first + length, data[place + head.size : first]
         if not (stop <= end <= ends[-1] and name.isascii() and name.decode("ascii").isprintable()):
             raise MotionFileError(path, "exchange.fbx_record", place=place)
-        values = _read_values(data[first:stop], count)
+        values = _read_values(path, data[first:stop], count)
         if values is None:
             raise MotionFileError(path, "exchange.fbx_record", place=place)
         yield len(ends) - 1, name.decode("ascii"), values
@@ -133,10 +134,10 @@ def _walk(path: str | os.PathLike[str], data: bytes, *, wide: bool) -> Iterator[
             ends.pop()
 
 
-def _read_values(data: bytes, count: int) -> list[bytes] | None:
+def _read_values(path: str | os.PathLike[str], data: bytes, count: int) -> list[bytes] | None:
     """The bytes of so many values, which are all that is there; None if they are not."""
     values: list[bytes] = []
-    place = 0
+    place = unpacked = 0
     try:
         for _ in range(count):
             kind, place = data[place], place + 1
@@ -152,6 +153,8 @@ def _read_values(data: bytes, count: int) -> list[bytes] | None:
                 return None
             place += size
             if squeezed:
+                unpacked += needed
+                check_memory(path, unpacked, len(data))
                 unpacker = zlib.decompressobj()
                 held = unpacker.decompress(held, needed + 1)
                 if not unpacker.eof:

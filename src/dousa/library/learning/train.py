@@ -143,7 +143,7 @@ def _doubt_categories(clips: ClipFeatures, counts: dict[str, int], calibration: 
         return Message("library_training.only_numbers", categories=some)
     if several and len(done_by) == len(counts):
         return Message("library_training.one_person_each", categories=some)
-    if calibration is not None and calibration.false_alarms > 0.5:
+    if calibration is not None and max(counts.values()) > 1 and calibration.false_alarms > 0.5:
         return Message("library_training.not_recognised", categories=some)
     return None
 

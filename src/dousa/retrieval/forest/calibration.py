@@ -306,7 +306,8 @@ def learn_calibration(
         raise TrainingError("calibration.categories", count=len(names))
     people = [None] * len(labels) if performers is None else performers
     rounds = list(_draw_rounds(labels, people, random_state))
-    fitted = bool(rounds)
+    # Curves are of more clips held back than there are categories: a few tell nothing.
+    fitted = len(np.unique(np.concatenate([known for _, known, _ in rounds]))) >= len(names) if rounds else False
     if not fitted and copies is not None:
         # As of one clip of each category: the copies stand for another person, but are too like the clips for curves.
         people = ["as recorded"] * len(labels) + ["disturbed"] * len(copies.rows)

@@ -415,8 +415,6 @@ class Workspace:
     def _clear_stale(self, *, stale_s: float = 7 * 86_400.0) -> None:
         # stale_s: after which other batches, and files of commands to copy, are cleared away when a studio starts
         remove_left_overs(self.root)
-        for name in ("thumbnails.sqlite", "map.npz"):  # what earlier studios could make again, which nothing reads
-            (self.root / name).unlink(missing_ok=True)
         for path in (self.root / SPELLED).glob("*"):
             with suppress(OSError):
                 if time.time() - path.stat().st_mtime > stale_s:
