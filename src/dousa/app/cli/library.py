@@ -91,7 +91,9 @@ def choose_clips(
             raise LibraryError("library_clips.none_of_text", library=library.name, text=text)
         chosen = found
     if like is not None:
-        chosen = _find_like(library, like, [clip.id for clip in library.clips(chosen, **labels)])
+        asked = chosen or any(value is not None for value in labels.values())
+        among = [clip.id for clip in library.clips(chosen, **labels)] if asked else None
+        chosen = _find_like(library, like, among)
         if not chosen:
             raise LibraryError("library_clips.none_like", library=library.name, query=like)
     return chosen, labels
@@ -102,7 +104,7 @@ def _keep_named(library: Library, found: list[int], named: list[int | str]) -> l
     return [number for number in found if number in among]
 
 
-def _find_like(library: Library, query: str, among: list[int]) -> list[int | str]:
+def _find_like(library: Library, query: str, among: list[int] | None) -> list[int | str]:
     """The clips that mean the same as a motion; the most similar ones where the library has not learned that."""
     wanted = clip_or_path(query)
     found = library.search(wanted, among=among)
