@@ -31,7 +31,7 @@ ROOMS = {
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 62_275,
+    "lines of tests": 62_284,
     "lines of JavaScript": 12_550,
     "constants": 1_061,
     "numeric constants without a source": 6,

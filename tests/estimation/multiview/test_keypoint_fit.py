@@ -201,6 +201,15 @@ class TestFit:
         assert "left_mouth" not in NAMES
         fit = fit_keypoints(cameras, film(other, poses, cameras, noise=0.5)[0], NAMES, RATE)
         assert joint_error(fit, other, poses).mean() < 0.006
+        at = dict(zip(other.names, other.offsets, strict=True))
+        true = {
+            "hip_breadth": 2.0 * at["left_thigh"][0],
+            "shoulder_breadth": 2.0 * at["left_upper_arm"][0],
+            "trunk": at["trunk"][1] + at["head"][1] - at["left_thigh"][1],
+        }
+        assert {name: abs(fit.estimate.lengths[name][0] - length) < 0.015 for name, length in true.items()} == (
+            dict.fromkeys(true, True)
+        )
 
     def test_one_view_keeps_the_posture_and_says_that_depth_is_unsure(self, body, poses, cameras):
         tracks, _ = film(body, poses, cameras)
