@@ -253,6 +253,8 @@ def train(context: typer.Context, library: LibraryPath, *, request: TrainRequest
     calibration = report.calibration
     if calibration is None:
         warn(Message("library_cli.no_calibration"))
+    elif len(report.single) == len(report.categories):  # no clip could be held back
+        say(Message("library_cli.calibrated_by_others"))
     else:
         shares = {"known": calibration.false_alarms, "others": 1 - calibration.misses}
         say(Message("library_cli.calibrated", **shares))
