@@ -204,14 +204,14 @@ def adjust(
     problem = _Problem(sightings, known, tuple(limbs), freedom, np.log(rig.focals), cauchy)
     state = _State(rig, np.where(known[..., None], points, 0.0), _measure_limbs(points, known, limbs))
 
-    def linearise(state: _State, _: None) -> Callable[[float], _State]:
+    def linearise(state: _State, _: float) -> Callable[[float], _State]:
         system = problem.linearise(state)
         return lambda damping: problem.move(state, *system.solve(damping))
 
-    state, _ = minimise(state, lambda state: (problem.cost(state), None), linearise,
-                        steps=steps, settled=settled, damping=1e-3, most_damping=1e9)  # fmt: skip
+    state, cost = minimise(state, lambda state: (problem.cost(state),) * 2, linearise,
+                           steps=steps, settled=settled, damping=1e-3, most_damping=1e9)  # fmt: skip
     placed, covariance = np.where(known[..., None], state.points, np.nan), problem.linearise(state).covariance()
-    return Fit(state.rig, placed, np.exp(state.lengths), problem.cost(state), covariance)
+    return Fit(state.rig, placed, np.exp(state.lengths), cost, covariance)
 
 
 def _measure_limbs(points: FloatArray, known: BoolArray, limbs: Sequence[Limb]) -> FloatArray:
