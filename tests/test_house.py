@@ -19,7 +19,7 @@ SOURCE = ROOT / "src" / "dousa"
 # Lines and files of each room, stubs included.
 ROOMS = {
     "app": (25_617, 117),
-    "estimation": (16_584, 69),
+    "estimation": (16_589, 69),
     "evaluation": (12_104, 46),
     "experiments": (1_705, 8),
     "files": (1_155, 8),

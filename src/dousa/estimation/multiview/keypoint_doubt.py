@@ -63,7 +63,7 @@ def find_evidence(
     # errors mean the same with any number of views.
     free = np.where(shown.sum(axis=0) > 1, shown.sum(axis=0) - 1.5, 1.0)
     squares = np.where(shown, np.nan_to_num(off) ** 2, 0.0).sum(axis=0) / free
-    needed = min(2, max(1, int(seen.seen.any(axis=(1, 2)).sum())))  # of the views that show the person
+    needed = min(2, max(1, seen.n_views))
     hidden = 1.0 - np.sort(seen.visibility, axis=0)[-needed]
     swap = np.repeat(exchanged.mean(axis=(0, 2))[:, None], len(near), axis=1)
     width = np.sqrt(np.trace(covariance, axis1=-2, axis2=-1))

@@ -271,7 +271,7 @@ def _find_body(
     exact = free and not lie_beside_joints(names)
     groups = tuple(group for group in SHIFTS if group in place_landmarks(given, names).groups
                    and not (exact and group in JOINTS))  # fmt: skip
-    n_views = int(terms.seen.seen.any(axis=(1, 2)).sum())  # that show the person
+    n_views = terms.seen.n_views
     usual, n_sizes = given.stature, 1 + len(_MEASURES)
 
     def measure(values: FloatArray) -> dict[str, float]:

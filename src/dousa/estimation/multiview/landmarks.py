@@ -169,6 +169,11 @@ class SeenLandmarks:
         """(V, T, L) whether there is a point."""
         return np.asarray(np.isfinite(self.points[..., 0]))
 
+    @property
+    def n_views(self) -> int:
+        """How many views show the person."""
+        return int(self.seen.any(axis=(1, 2)).sum())
+
 
 def gather(tracks: Sequence[PersonTrack | None], names: Sequence[str], n_frames: int) -> SeenLandmarks:
     """Return the landmarks of one person in all views.
